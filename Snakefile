@@ -1,0 +1,37 @@
+"""pHRI Real2Sim: raw exports -> joint limits -> identification -> priors -> LOSO -> figures.
+
+    snakemake --cores 2                                    the whole study at the paper's budget
+    snakemake --cores 2 --configfile config/quick.yaml     the same line in minutes
+    snakemake --cores 2 quality                            what the recordings are worth, without fitting anything
+
+What the settings mean: config/README.md. One file per stage, in the order of the DAG: workflow/rules/.
+"""
+
+from snakemake.utils import min_version
+
+min_version("9.0")
+
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/phantom.smk"
+include: "workflow/rules/ingest.smk"
+include: "workflow/rules/quality.smk"
+include: "workflow/rules/tightness.smk"
+include: "workflow/rules/limits.smk"
+include: "workflow/rules/identification.smk"
+include: "workflow/rules/shareability.smk"
+include: "workflow/rules/figures.smk"
+
+
+rule all:
+    """Everything: tables, figures and the page that links them."""
+    default_target: True
+    input:
+        "results/index.html",
+        "results/tightness/cohort.json",
+        "results/quality/quality.csv",
+        expand("results/quality/{subject}/gates.png", subject=PEOPLE),
+        expand("results/trials/{subject}/neutral/quality.json", subject=PEOPLE),

@@ -1,0 +1,145 @@
+"""A miniature study: the real Snakefile on a few small people, run once and copied for each test."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+TREE = ("Snakefile", "workflow", "config", "resources", "profiles", "environment-lock.txt")
+_IGNORE = shutil.ignore_patterns("__pycache__", "*.pyc", ".snakemake")
+
+
+@dataclass
+class Study:
+    """A working copy of the project in a folder of its own."""
+
+    folder: Path
+
+    def snakemake(
+        self, *arguments: str, check: bool = True, timeout: float = 900
+    ) -> subprocess.CompletedProcess:
+        """Run snakemake there; the output of both streams is in ``stdout``."""
+        environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHONPATH", "SNAKEMAKE"))}
+        done = subprocess.run(
+            [sys.executable, "-m", "snakemake", *arguments],
+            cwd=self.folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+        if check and done.returncode != 0:
+            raise AssertionError(
+                f"snakemake {' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}"
+            )
+        return done
+
+    def planned(self, *arguments: str) -> dict[str, int]:
+        """Jobs per rule that a dry run plans; empty if there is nothing to do."""
+        text = self.snakemake("-n", "--cores", "2", "--quiet", "rules", *arguments).stdout
+        text = self.snakemake("-n", "--cores", "2", *arguments).stdout if "job" not in text else text
+        stats = re.search(r"Job stats:\n(.*?)\n\n", text, re.S)
+        if stats is None:
+            assert "Nothing to be done" in text, text
+            return {}
+        rows = [line.split() for line in stats[1].splitlines()[2:]]
+        return {row[0]: int(row[1]) for row in rows if row[0] != "total"}
+
+    def copy(self, folder: Path) -> Study:
+        """Copy of everything, times of the files included."""
+        shutil.copytree(self.folder, folder, symlinks=True)
+        return Study(folder)
+
+    def edit(self, file: str, old: str, new: str) -> None:
+        """Replace text that must occur in a file."""
+        path = self.folder / file
+        text = path.read_text(encoding="utf-8")
+        assert old in text, f"{old!r} is not in {file}"
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+    def configure(self, **slices: dict) -> None:
+        """Change keys of config/config.yaml."""
+        path = self.folder / "config" / "config.yaml"
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        for name, value in slices.items():
+            content[name] = content[name] | value if isinstance(value, dict) else value
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def clean_study(folder: Path) -> Study:
+    """The project's tracked tree in a new folder, without results."""
+    folder.mkdir(parents=True)
+    for name in TREE:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=_IGNORE)
+        else:
+            shutil.copy2(source, folder / name)
+    return Study(folder)
+
+
+@pytest.fixture
+def project(tmp_path) -> Study:
+    """A clean copy of the project as it is shipped."""
+    return clean_study(tmp_path / "project")
+
+
+def miniature(folder: Path) -> Study:
+    """The project with the miniature's people and budget."""
+    study = clean_study(folder)
+    path = folder / "config" / "phantom.yaml"
+    phantom = yaml.safe_load(path.read_text(encoding="utf-8"))
+    people = {name: phantom["cohort"][name] for name in ("S01", "S02", "S03", "S06")}
+    for person in people.values():
+        person["tightness"] = {"loosest_cm": 8, "tightest_cm": 13, "safe_comfortable_cm": 10}
+    phantom["cohort"] = people
+    phantom["trials"] |= {"dynamic_s": 8.0, "walk_s": 3.0, "walk_robot_trials": 1, "neutral_s": 5.0}
+    path.write_text(yaml.safe_dump(phantom, sort_keys=False), encoding="utf-8")
+    study.configure(
+        identification={"restarts": 2, "evaluations": 44},
+        tightness={"bootstrap": 100, "permutations": 100},
+        statistics={"bootstrap": 100, "min_subjects": 2},
+    )
+    return study
+
+
+@pytest.fixture(scope="session")
+def _mini_raw(tmp_path_factory) -> Path:
+    """Raw exports of the miniature's phantom people."""
+    study = miniature(tmp_path_factory.mktemp("raw") / "study")
+    people = yaml.safe_load((study.folder / "config" / "phantom.yaml").read_text())["cohort"]
+    study.snakemake("--cores", "2", *[f"results/phantom/sealed/{name}.json" for name in people])
+    return study.folder / "results" / "phantom" / "raw"
+
+
+@pytest.fixture(scope="session")
+def mini_done(_mini_raw, tmp_path_factory) -> Study:
+    """The miniature as a study of people in resources/subjects, run to its end with two cores."""
+    study = miniature(tmp_path_factory.mktemp("done") / "study")
+    for name in ("S01", "S02", "S06"):
+        shutil.copytree(_mini_raw / name, study.folder / "resources" / "subjects" / name)
+    study.snakemake("--cores", "2")
+    return study
+
+
+@pytest.fixture
+def mini(mini_done, tmp_path) -> Study:
+    """A finished miniature study of its own, free to be changed."""
+    return mini_done.copy(tmp_path / "mini")
+
+
+@pytest.fixture
+def mini_raw(_mini_raw) -> Path:
+    """Folder with the raw exports of the miniature's people S01, S02, S03 and S06."""
+    return _mini_raw

@@ -1,0 +1,148 @@
+"""Figures are written, the same bytes for the same data; the page repeats what the data say of themselves."""
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from real2sim.artefacts import number, read_table, write_json
+from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
+from real2sim.figures.index import index_page
+from real2sim.figures.style import PHANTOM_LABEL, new_figure, signed
+from real2sim.figures.tables import cross_trial_table, priors_table
+from real2sim.figures.tightness import tightness_figure
+from real2sim.statistics.loso import loso_table
+from real2sim.statistics.shareability import priors, shareability
+from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
+from synthetic_results import write_fits, write_loso, write_subject_yaml, write_sweep_poses
+
+STATISTICS = {
+    "bootstrap": 200,
+    "seed": 1,
+    "confidence": 0.95,
+    "common_below": 0.50,
+    "distinct_from": 0.75,
+    "min_subjects": 3,
+}
+TIGHTNESS = {"bootstrap": 100, "permutations": 99, "seed": 1, "alpha": 0.05, "min_levels": 6}
+PUBLISHED = Path(__file__).parents[2] / "resources" / "published"
+
+
+def _results(folder, people, phantom=True):
+    fits = write_fits(folder / "fits", people, phantom=phantom, restarts=2)
+    tables = {name: folder / f"{name}.csv" for name in ("fits", "icc", "priors", "loso")}
+    shareability(fits=fits, settings=STATISTICS, out_fits=tables["fits"], out_icc=tables["icc"])
+    published = PUBLISHED / "table1_priors.csv"
+    inputs = {"fits": tables["fits"], "icc": tables["icc"], "published": published}
+    priors(settings=STATISTICS, out=tables["priors"], **inputs)
+    loso = write_loso(folder / "loso", people) if people > 2 else []
+    loso_table(loso=loso, settings=STATISTICS, out=tables["loso"])
+    return fits, tables
+
+
+@pytest.mark.parametrize("people", [4, 1])
+def test_figures_of_the_fits_are_written_and_deterministic(tmp_path, people):
+    fits, tables = _results(tmp_path, people)
+    runs = []
+    for run in ("a", "b"):
+        out = {
+            n: [tmp_path / run / f"{n}.{e}" for e in ("png", "pdf")] for n in ("icc", "loso", "convergence")
+        }
+        icc_figure(fits=tables["fits"], icc=tables["icc"], out=out["icc"])
+        loso_figure(loso=tables["loso"], out=out["loso"])
+        convergence_figure(fits=fits[:4], floors=[], out=out["convergence"])
+        runs.append([path.read_bytes() for paths in out.values() for path in paths])
+    assert runs[0] == runs[1]
+    assert all(b"CreationDate" not in content for content in runs[0])
+
+
+def test_tightness_figure_is_written(tmp_path):
+    poses = write_sweep_poses(tmp_path / "S01", list(range(5, 13)), 9, noise=0.3)
+    subject_yaml = write_subject_yaml(tmp_path / "subject.yaml", loosest=5, tightest=12, selected=9)
+    sweep, breakpoints, cohort = (tmp_path / n for n in ("sweep.csv", "breakpoints.json", "cohort.json"))
+    tightness_sweep(subject="S01", poses=poses, subject_yaml=subject_yaml, out=sweep)
+    tightness_breakpoints(sweep=sweep, subject_yaml=subject_yaml, settings=TIGHTNESS, out=breakpoints)
+    tightness_cohort(sweeps=[sweep], breakpoints=[breakpoints], settings=TIGHTNESS, out=cohort)
+    out = [tmp_path / "tightness.png", tmp_path / "tightness.pdf"]
+    tightness_figure(sweeps=[sweep], cohort=cohort, out=out)
+    assert all(path.stat().st_size > 5000 for path in out)
+
+
+def test_phantom_label_follows_the_data():
+    assert new_figure(2.0, phantom=True).get_suptitle() == PHANTOM_LABEL
+    assert new_figure(2.0, phantom=False).get_suptitle() == ""
+    assert [signed(-0.001, 1), signed(-1.26, 1)] == ["0.0", "\N{MINUS SIGN}1.3"]
+
+
+def test_priors_table_compares_ours_and_leaves_the_published_alone(tmp_path):
+    for people, compared in ((4, True), (1, False)):
+        _, tables = _results(tmp_path / str(people), people)
+        out = tmp_path / f"{people}.csv"
+        priors_table(priors=tables["priors"], published=PUBLISHED / "table1_priors.csv", out=out)
+        row = read_table(out)[0]
+        assert row["published_prior"] == "725"
+        assert bool(row["ratio_to_published_1"]) is compared
+        if compared:
+            assert number(row["ratio_to_published_1"]) == pytest.approx(number(row["prior"]) / 725)
+
+
+def test_cross_trial_table_has_persons_mean_and_paper(tmp_path):
+    paths = []
+    for s, cross in enumerate((1.2, 1.4)):
+        path = tmp_path / f"S0{s + 1}.json"
+        costs = {"J_within_mean": 1.0, "J_cross_mean": cross, "overhead": cross - 1}
+        write_json(path, {"subject": path.stem, "phantom": True, "pairs": [{}, {}]} | costs)
+        paths.append(path)
+    out = tmp_path / "cross.csv"
+    cross_trial_table(cross_trial=paths, floors=[], published=PUBLISHED / "cross_trial.csv", out=out)
+    rows = {row["subject"]: row for row in read_table(out)}
+    assert number(rows["mean"]["overhead_percent"]) == pytest.approx(30.0)
+    assert rows["paper"]["overhead_percent"] == "14.5"
+    assert rows["paper"]["phantom"] == "false"
+
+
+class _Links(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.targets, self.open, self.text = [], [], ""
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.targets += [given[key] for key in ("href", "src") if key in given]
+        if tag not in ("img", "meta"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.mark.parametrize(("phantom", "people"), [(True, 4), (False, 1)])
+def test_index_page_links_everything_and_says_what_is_missing(tmp_path, phantom, people):
+    _, tables = _results(tmp_path, people, phantom)
+    figures = [tmp_path / "figures" / f"loso.{e}" for e in ("png", "pdf")]
+    loso_figure(loso=tables["loso"], out=figures)
+    page = tmp_path / "index.html"
+    index_page(
+        figures=figures,
+        tables=[tables["priors"], tables["icc"]],
+        title="Results <of> a run",
+        phantom=False,
+        out=page,
+    )
+    parsed = _Links()
+    parsed.feed(page.read_text())
+    assert parsed.open == []
+    assert all((tmp_path / target).is_file() for target in parsed.targets)
+    assert "figures/loso.pdf" in parsed.targets
+    assert (PHANTOM_LABEL in parsed.text) is phantom
+    assert ("needs at least 3 people, have 1" in parsed.text) is (people == 1)
+    assert "Results <of> a run" in parsed.text
+
+
+def test_results_never_hold_nan(tmp_path):
+    _, tables = _results(tmp_path, 1)
+    for path in tables.values():
+        cells = path.read_text().lower().replace("\n", ",").split(",")
+        assert not {"nan", "inf", "-inf"} & set(cells)

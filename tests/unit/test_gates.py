@@ -1,0 +1,159 @@
+"""Gates: verdicts, the check before a fit, and injected faults on a small phantom (benchmarks/faults.py has 200)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real2sim.artefacts import read_json, read_table
+from real2sim.configuration import read_yaml, validated
+from real2sim.errors import InputError
+from real2sim.figures.quality import quality_figure
+from real2sim.quality import clocks, markers
+from real2sim.quality.gates import bandwidth_hz, noise_cost, reversals
+from real2sim.quality.stage import quality_subject, quality_table
+from real2sim.quality.verdict import by_size, require
+
+from benchmarks import faults
+
+CONFIG = validated({}, "config", Path("defaults"))
+SETTINGS = {
+    "quality": CONFIG["quality"],
+    "ingest": CONFIG["ingest"],
+    "scales": CONFIG["identification"]["scales"],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    source = faults.ROOT / "config" / "phantom.yaml"
+    phantom = validated(read_yaml(source), "phantom", source)
+    phantom["cohort"] = {"S01": phantom["cohort"]["S01"]}
+    phantom["cohort"]["S01"]["tightness"] = {"loosest_cm": 9, "tightest_cm": 11, "safe_comfortable_cm": 10}
+    phantom["trials"] |= {"dynamic_s": 20.0, "walk_s": 6.0, "walk_robot_trials": 1, "neutral_s": 5.0}
+    root = tmp_path_factory.mktemp("phantom")
+    faults.simulate(root, ["S01"], phantom)
+    return root
+
+
+@pytest.fixture(scope="module")
+def person(folder):
+    return faults.load(folder / "raw", folder / "sealed", "S01")
+
+
+def test_clean_trials_raise_no_alarm(person):
+    alarms, count = faults.false_alarms([person])
+    assert count == 11
+    assert not alarms
+
+
+@pytest.mark.parametrize(
+    "kind", [k for k in faults.KINDS if k is not faults.drift_markerless], ids=lambda kind: kind.__name__
+)
+def test_fault_is_seen(person, kind):
+    case = kind(person, np.random.default_rng(5))
+    assert case.detected, case.detail
+    if kind is faults.sync_robot:
+        assert abs(case.offset[0]) < 1e-3
+    if kind is faults.drift_robot:
+        assert abs(case.drift[0]) < 1.5e-5  # three short trials only
+    if kind is faults.swap:
+        assert case.exact
+
+
+def test_markerless_drift_lies_in_its_interval(person):
+    error, sd = faults.drift_markerless(person, np.random.default_rng(5)).drift
+    assert abs(error) < 4 * sd
+
+
+def _run(folder, out, **quality):
+    quality_subject(
+        subject="S01",
+        folder=folder / "raw" / "S01",
+        settings=SETTINGS | {"quality": CONFIG["quality"] | quality},
+        raw=[],
+        out=out,
+    )
+
+
+def test_refused_trial_is_held_back_unless_overridden_by_name(folder, tmp_path):
+    strict = {
+        "noise": {"warn": 0.0, "refuse": 0.0},
+        "excitation": CONFIG["quality"]["excitation"] | {"refuse": 99.0},
+    }
+    strict["excitation"]["warn"] = 100.0
+    _run(folder, tmp_path / "a", **strict)
+    with pytest.raises(InputError, match="excitation") as error:
+        require(tmp_path / "a" / "dynamic_1.json", "dynamic_1")
+    assert "S01/dynamic_1" in error.value.remedy
+    assert require(tmp_path / "a" / "rotation_T10.json", "rotation_T10") == []
+    _run(folder, tmp_path / "b", **strict, override={"S01/dynamic_1": "pilot"})
+    assert require(tmp_path / "b" / "dynamic_1.json", "dynamic_1") == ["excitation"]
+    assert (tmp_path / "a" / "dynamic_2.json").read_bytes() == (
+        tmp_path / "b" / "dynamic_2.json"
+    ).read_bytes()
+    with pytest.raises(InputError, match="dynamic_9"):
+        _run(folder, tmp_path / "c", override={"S01/dynamic_9": "typo"})
+    gates = tmp_path / "b" / "gates.json"
+    quality_table(gates=[gates], settings=CONFIG["quality"], out=tmp_path / "quality.csv")
+    rows = read_table(tmp_path / "quality.csv")
+    assert {r["trial"] for r in rows if r["overridden"] == "true"} == {"dynamic_1"}
+    settings = CONFIG["quality"] | {"override": {"S77/dynamic_1": "typo"}}
+    with pytest.raises(InputError, match="S77"):
+        quality_table(gates=[gates], settings=settings, out=tmp_path / "quality.csv")
+    quality_figure(gates=gates, out=[tmp_path / "gates.png"])
+    assert (tmp_path / "gates.png").stat().st_size > 10_000
+
+
+def test_unreadable_trial_is_refused_and_the_others_are_judged(folder, tmp_path):
+    import shutil
+
+    copy = tmp_path / "x" / "raw" / "S01"
+    shutil.copytree(folder / "raw" / "S01", copy)
+    (copy / "dynamic_2.tsv").write_text("nothing\n")
+    _run(tmp_path / "x", tmp_path / "out")
+    assert read_json(tmp_path / "out" / "dynamic_2.json")["refused"][0]["gate"] == "readable"
+    assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
+
+
+def test_file_of_another_trial_is_refused(tmp_path):
+    path = tmp_path / "dynamic_1.json"
+    path.write_text(json.dumps({"subject": "S01", "trial": "dynamic_2", "refused": [], "override": None}))
+    with pytest.raises(InputError, match="dynamic_2"):
+        require(path, "dynamic_1")
+
+
+def test_verdict_by_size():
+    assert [by_size(x, [1.0, 2.0]) for x in (0.5, 1.0, 2.0)] == ["pass", "warn", "refuse"]
+    assert [by_size(x, [0.9, 0.5]) for x in (0.95, 0.8, 0.4)] == ["pass", "warn", "refuse"]
+
+
+def test_pooling_weighs_by_variance_and_widens_for_scatter():
+    pooled = clocks.pool([1.0, 3.0], [1.0, 1.0])
+    assert pooled.value == pytest.approx(2.0)
+    assert pooled.sd == pytest.approx(np.sqrt(2.0 / 2))  # chi-square 2 on one degree of freedom
+    assert clocks.pool([], []) is None
+
+
+def test_motion_measures():
+    t = np.arange(0, 10, 0.01)
+    wave = np.sin(2 * np.pi * 2 * t)
+    assert reversals(wave, 0.5) == 40
+    assert bandwidth_hz(wave, 100.0) == pytest.approx(2.0, abs=0.15)
+
+
+def test_noise_cost_is_quadratic_and_near_the_band_limited_value():
+    one, two = (noise_cost(sd, SETTINGS["ingest"], SETTINGS["scales"]) for sd in (0.5e-3, 1e-3))
+    assert two == pytest.approx(4 * one)
+    assert 0.03 < one < 0.12
+
+
+def test_spikes_and_gaps_are_found():
+    t = np.arange(0, 5, 0.01)
+    values = np.column_stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0 * t])
+    values[100:102] += 0.05
+    values[200:250] = np.nan
+    assert list(markers.spikes(values, 0.008)) == [100, 101]
+    assert markers.find_gaps({"ASIS_L": values}) == [markers.Gap("ASIS_L", 200, 250)]

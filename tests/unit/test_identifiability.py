@@ -1,0 +1,202 @@
+"""Least squares and verdicts on residuals whose answer is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from real2sim.configuration import validated
+from real2sim.identification.identifiability import (
+    AT_BOUND,
+    DETERMINED,
+    NOT_DETERMINED,
+    WEAK,
+    assess,
+    long_run_covariance,
+    profile_end,
+)
+from real2sim.identification.least_squares import Residuals, minimise, search
+from real2sim.identification.noise_floor import block_bootstrap_mean
+from real2sim.identification.parameters import PARAMETERS, Bounds
+
+BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
+TRUTH = np.full(12, np.log(40.0))
+SETTINGS = validated({}, "config", __file__)["identifiability"]
+N = 3000
+
+
+def linear(columns: np.ndarray, noise: np.ndarray):
+    """Residuals A (z - z*) + noise of parameters exp(z): A is (n, 12)."""
+    return lambda parameters: (np.log(parameters) - TRUTH) @ columns.T + noise
+
+
+def design(strength: np.ndarray, seed: int = 0) -> np.ndarray:
+    a = np.random.default_rng(seed).standard_normal((N, 12))
+    return a / np.linalg.norm(a, axis=0) * strength
+
+
+def correlated(rho: float, sd: float, seed: int) -> np.ndarray:
+    white = np.random.default_rng(seed).standard_normal(N) * sd * np.sqrt(1 - rho**2)
+    out = np.zeros(N)
+    for i in range(1, N):
+        out[i] = rho * out[i - 1] + white[i]
+    return out
+
+
+def test_search_reaches_the_minimum_in_a_few_dozen_evaluations():
+    columns = design(np.logspace(0, -2, 12))
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(N)
+    result = search(linear(columns, noise), BOUNDS, batch=13, screen=13, iterations=25, ftol=1e-8, seed=2)
+    exact = TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0]
+    assert np.allclose(np.log(result.parameters), exact, atol=1e-4)
+    assert result.evaluations < 240
+    assert np.all(np.diff(result.history["best"]) <= 0)
+    assert result.history["evaluations"][-1] == result.evaluations
+
+
+def test_search_is_reproducible_and_stays_within_bounds():
+    columns, tight = design(np.ones(12)), Bounds(np.full(12, 60.0), np.full(12, 90.0))
+    options = {"batch": 13, "screen": 13, "iterations": 25, "ftol": 1e-8, "seed": 5}
+    one, two = (search(linear(columns, np.zeros(N)), tight, **options) for _ in range(2))
+    assert np.array_equal(one.parameters, two.parameters)
+    assert np.allclose(one.parameters, 60.0, rtol=1e-3)
+
+
+def test_search_walks_around_a_simulation_that_fails():
+    columns = design(np.ones(12))
+
+    def residuals(parameters):
+        out = linear(columns, np.zeros(N))(parameters)
+        out[parameters[:, 0] > 300] = np.nan
+        return out
+
+    result = search(residuals, BOUNDS, batch=13, screen=39, iterations=50, ftol=1e-10, seed=3)
+    assert np.allclose(np.log(result.parameters), TRUTH, atol=1e-3)
+
+
+def test_fixed_parameters_do_not_move():
+    problem = Residuals(linear(design(np.ones(12)), np.zeros(N)), BOUNDS, 13)
+    start = TRUTH + 1.0
+    z, cost, _, _ = minimise(problem, start, np.arange(1, 12), iterations=20, ftol=1e-10)
+    assert z[0] == start[0]
+    assert cost == pytest.approx(1.0, rel=0.2)
+
+
+def test_long_run_variance_of_an_autoregression_is_the_textbooks():
+    rho, sd, total = 0.8, 1.0, 0.0
+    for seed in range(40):
+        total += long_run_covariance(correlated(rho, sd, seed)[:, None], 60)[0, 0] / N / 40
+    # variance times (1 + rho) / (1 - rho), less the Bartlett kernel's bias
+    assert total == pytest.approx(sd**2 * (1 + rho) / (1 - rho), rel=0.15)
+
+
+def test_profile_of_a_parabola_ends_where_it_should():
+    problem = Residuals(linear(design(np.ones(12)), np.zeros(N)), BOUNDS, 13)
+    end = profile_end(problem, TRUTH, 0.0, 3, 1, sd=0.3, threshold=1.0, iterations=10)
+    gram = design(np.ones(12)).T @ design(np.ones(12))
+    assert end - TRUTH[3] == pytest.approx(np.sqrt(np.linalg.inv(gram)[3, 3]), rel=0.02)
+
+
+def verdicts(strength: np.ndarray, noise: np.ndarray, start=None) -> dict:
+    columns = design(strength)
+    exact = TRUTH - np.linalg.lstsq(columns + 1e-12, noise, rcond=None)[0]
+    where = np.exp(np.clip(exact, np.log(1.0), np.log(1000.0))) if start is None else start
+    return assess(
+        linear(columns, noise), where, np.arange(N), BOUNDS, batch=13, rate_hz=100, settings=SETTINGS
+    )["parameters"]
+
+
+def test_verdicts_follow_what_the_data_say():
+    strength = np.ones(12)
+    strength[4], strength[7], strength[10] = 0.0, 0.06, 0.012
+    noise = 0.012 * np.random.default_rng(4).standard_normal(N)
+    # an SD of 0.012 / strength ln-units each
+    start = np.exp(TRUTH.copy())
+    rows = verdicts(strength, noise, start)
+    assert rows["k_ry"]["verdict"] == NOT_DETERMINED
+    assert rows["k_ry"]["ci95"] == [None, None]
+    assert "as well" in rows["k_ry"]["reason"]
+    assert "tilting" in rows["k_ry"]["next_trial"]
+    assert rows[PARAMETERS[7]]["verdict"] == WEAK
+    assert rows[PARAMETERS[10]]["verdict"] == NOT_DETERMINED
+    assert rows["k_tx"]["verdict"] == DETERMINED
+    assert rows["k_tx"]["next_trial"] is None
+
+
+def test_parameter_at_its_bound_is_called_so():
+    columns = design(np.ones(12))
+
+    def residuals(parameters):
+        beyond = TRUTH.copy()
+        beyond[2] = np.log(2000.0)
+        return (np.log(parameters) - beyond) @ columns.T + noise
+
+    noise = 0.01 * np.random.default_rng(6).standard_normal(N)
+    start = np.exp(TRUTH)
+    start[2] = 999.0
+    rows = assess(residuals, start, np.arange(N), BOUNDS, batch=13, rate_hz=100, settings=SETTINGS)[
+        "parameters"
+    ]
+    assert rows["k_tz"]["verdict"] == AT_BOUND
+    assert rows["k_tx"]["verdict"] == DETERMINED
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_intervals_cover_the_truth_whatever_the_autocorrelation(rho):
+    # signatures as smooth as the residuals: there the naive interval is too short by sqrt((1 + r^2) / (1 - r^2))
+    smooth = np.column_stack([correlated(rho, 1.0, 100 + i) for i in range(12)])
+    smooth *= 1.0 / np.linalg.norm(smooth, axis=0)
+    hits = trials = 0
+    for seed in range(25):
+        noise = correlated(rho, 0.02, seed)
+        exact = TRUTH - np.linalg.lstsq(smooth, noise, rcond=None)[0]
+        rows = assess(
+            linear(smooth, noise),
+            np.exp(exact),
+            np.arange(N),
+            BOUNDS,
+            batch=13,
+            rate_hz=100,
+            settings=SETTINGS,
+        )["parameters"]
+        for row in rows.values():
+            low, high = row["ci95"]
+            hits += low <= 40.0 <= high
+            trials += 1
+    assert 0.90 <= hits / trials <= 0.99
+
+
+def test_bias_is_taken_off_the_interval_and_doubted_when_large():
+    noise = 0.01 * np.random.default_rng(8).standard_normal(N)
+    columns = design(np.ones(12))
+    exact = np.exp(TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0])
+    shift = np.zeros(12)
+    shift[0], shift[1] = 0.05, 0.3
+    rows = assess(
+        linear(columns, noise),
+        exact,
+        np.arange(N),
+        BOUNDS,
+        batch=13,
+        rate_hz=100,
+        settings=SETTINGS,
+        bias=lambda z, information, free: shift,
+    )["parameters"]
+    middle = np.sqrt(rows["k_tx"]["ci95"][0] * rows["k_tx"]["ci95"][1])
+    assert middle == pytest.approx(rows["k_tx"]["value"] * np.exp(-0.05), rel=1e-3)
+    assert rows["k_tx"]["verdict"] == DETERMINED
+    assert rows["k_ty"]["verdict"] == WEAK
+    assert "noise of the pelvis" in rows["k_ty"]["reason"]
+
+
+def test_block_bootstrap_covers_the_mean_of_a_correlated_series():
+    hits = 0
+    for seed in range(60):
+        low, high = block_bootstrap_mean(correlated(0.9, 1.0, seed), 100, 400, 0.95, seed)
+        hits += low <= 0.0 <= high
+    assert 0.85 <= hits / 60 <= 1.0
+    assert block_bootstrap_mean(np.ones(50), 10, 100, 0.95, 1) == (1.0, 1.0)
+
+
+def test_block_bootstrap_is_reproducible_by_seed():
+    series = correlated(0.5, 1.0, 3)
+    assert block_bootstrap_mean(series, 50, 200, 0.95, 7) == block_bootstrap_mean(series, 50, 200, 0.95, 7)

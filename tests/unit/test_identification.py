@@ -1,0 +1,176 @@
+"""Cost in closed form, search on functions whose minimum is known, and the masks of a trial."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from real2sim.errors import InputError
+from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, quaternion, rotation_xyz
+from real2sim.identification.cmaes import search
+from real2sim.identification.cost import FAILED_COST, CostScales, TrialCost
+from real2sim.identification.fit import best_of, restart_seed
+from real2sim.identification.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
+from real2sim.identification.trial import load_trial
+
+SCALES = CostScales(0.041, 0.080)
+BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
+
+
+def test_constant_offset_costs_position_alone():
+    measured = np.random.default_rng(0).normal(size=(50, 2, 3))
+    offset = np.array([0.003, -0.004, 0.012])
+    terms = TrialCost(measured, 100, SCALES)(measured[None] + offset)
+    assert terms.position[0] == pytest.approx(0.013**2 / 0.041**2)
+    assert terms.velocity[0] == pytest.approx(0, abs=1e-20)
+    assert terms.rmse_position[0] == pytest.approx(0.013)
+
+
+def test_growing_offset_costs_its_speed():
+    measured = np.zeros((101, 2, 3))
+    drift = np.zeros((1, 101, 2, 3))
+    drift[0, :, 0, 1] = 0.02 * np.arange(101) / 100
+    terms = TrialCost(measured, 100, SCALES)(drift)
+    assert terms.velocity[0] == pytest.approx(0.02**2 / 0.08**2 / 2)
+
+
+def test_masked_samples_do_not_count():
+    measured = np.zeros((100, 2, 3))
+    measured[40:60, 1] = np.nan
+    usable = np.ones(100, bool)
+    usable[:10] = False
+    cost = TrialCost(measured, 100, SCALES, usable)
+    assert cost.samples == 90 + 70
+    simulated = np.zeros((1, 100, 2, 3))
+    simulated[0, :10] = simulated[0, 40:60, 1] = 5.0
+    assert cost(simulated).position[0] == 0
+    # where a masked sample starts, the neighbours' velocity is not measured either
+    assert cost(simulated).velocity[0] == 0
+
+
+def test_failed_simulation_costs_much_and_is_finite():
+    cost = TrialCost(np.zeros((20, 2, 3)), 100, SCALES)
+    simulated = np.zeros((2, 20, 2, 3))
+    simulated[1] = np.nan
+    total = cost(simulated).total
+    assert total[0] == 0
+    assert total[1] == pytest.approx(FAILED_COST)
+
+
+def test_no_usable_sample_is_an_error():
+    with pytest.raises(ValueError, match="usable"):
+        TrialCost(np.full((20, 2, 3), np.nan), 100, SCALES)
+
+
+def _bowl(parameters: np.ndarray) -> np.ndarray:
+    weights = np.logspace(0, -2, 12)
+    return np.sum(weights * (np.log(parameters) - np.log(50.0)) ** 2, axis=1)
+
+
+def _search(**changes):
+    options = {
+        "population": 11,
+        "sigma0": 1.22,
+        "evaluations": 1200,
+        "tolfun": 1e-6,
+        "diagonal_iterations": 80,
+        "seed": 3,
+    }
+    return search(_bowl, BOUNDS, **(options | changes))
+
+
+def test_search_finds_the_minimum_within_the_budget():
+    result = _search()
+    assert np.abs(np.log(result.parameters / 50)).max() < 0.02
+    assert result.evaluations <= 1210
+    assert result.cost == pytest.approx(_bowl(result.parameters[None])[0])
+
+
+def test_search_history_is_complete_and_never_rises():
+    history = _search(evaluations=220).history
+    assert history["evaluations"] == [11 * (i + 1) for i in range(len(history["best"]))]
+    # pycma stops after the generation that exceeds the budget
+    assert 220 <= history["evaluations"][-1] <= 231
+    assert np.all(np.diff(history["best"]) <= 0)
+    assert len(history["sigma"]) == len(history["best"]) == len(history["generation_best"])
+
+
+def test_search_is_reproducible_by_seed_alone():
+    one, two, other = _search(evaluations=110), _search(evaluations=110), _search(evaluations=110, seed=4)
+    assert np.array_equal(one.parameters, two.parameters)
+    assert one.history == two.history
+    assert not np.array_equal(one.start, other.start)
+
+
+def test_search_stays_within_bounds():
+    tight = Bounds(np.full(12, 60.0), np.full(12, 70.0))
+    result = search(
+        _bowl,
+        tight,
+        population=11,
+        sigma0=0.5,
+        evaluations=2000,
+        tolfun=1e-12,
+        diagonal_iterations=0,
+        seed=1,
+    )
+    assert (result.parameters >= tight.lower * (1 - 1e-9)).all()
+    assert set(tight.at_bound(result.parameters, 0.02)) == set(PARAMETERS)
+
+
+def test_restart_seeds_differ_by_person_trial_and_restart():
+    names = [(s, t, r) for s in ("S01", "S02") for t in ("dynamic_1", "dynamic_2") for r in range(1, 6)]
+    assert len({restart_seed(1, *name) for name in names}) == len(names)
+    assert restart_seed(1, "S01", "dynamic_1", 1) == restart_seed(1, "S01", "dynamic_1", 1)
+
+
+def test_parameters_have_names_units_and_order():
+    assert PARAMETERS[0] == "k_tx"
+    assert PARAMETERS[-1] == "d_rz"
+    assert [unit(n) for n in ("k_ty", "k_rx", "d_tz", "d_ry")] == ["N/m", "Nm/rad", "Ns/m", "Nms/rad"]
+    values = np.arange(12.0)
+    assert np.array_equal(as_vector(as_dict(values)), values)
+
+
+def test_best_of_takes_the_lowest_cost_and_the_first_of_equals():
+    fits = [{"cost": {"J": j}, "restart": r} for j, r in ((0.3, 1), (0.1, 3), (0.1, 2))]
+    assert best_of(fits)["restart"] == 2
+
+
+def _tables(folder, pelvis_gap=slice(0, 0), interface_gap=slice(0, 0)):
+    n = 400
+    t = np.arange(n) / 100
+    rotation = rotation_xyz(np.tile([0.0, 0.1, 0.0], (n, 1)))
+    columns = {"time_s": t}
+    for body, place, gap in (
+        ("pelvis", [0.1, 0, 1.0], pelvis_gap),
+        ("interface", [0, 0, 0.95], interface_gap),
+    ):
+        q, p = quaternion(rotation), np.tile(np.array(place, float), (n, 1))
+        q[gap], p[gap] = np.nan, np.nan
+        columns |= {f"{body}_{c}": p[:, i] for i, c in enumerate("xyz")}
+        columns |= {f"{body}_q{c}": q[:, i] for i, c in enumerate("wxyz")}
+    meta = {"rest": {"rotation": np.eye(3).tolist(), "position": [0.0, 0.0, 0.0]}, "phantom": True}
+    table = pa.table(columns).replace_schema_metadata({"real2sim": json.dumps(meta)})
+    pq.write_table(table, folder / "pose.parquet")
+    names = (*PELVIS_MARKERS, *INTERFACE_MARKERS)
+    markers = {"time_s": t} | {f"{m}_{c}": np.zeros(n) for m in names for c in "xyz"}
+    pq.write_table(pa.table(markers), folder / "markers.parquet")
+    return folder / "pose.parquet", folder / "markers.parquet"
+
+
+def test_trial_masks_gaps_of_the_pelvis_and_the_time_to_settle(tmp_path):
+    trial = load_trial(*_tables(tmp_path, pelvis_gap=slice(100, 140)), start_window_s=0.5, settle_s=1.0)
+    assert trial.usable[:100].all()
+    assert not trial.usable[100:240].any()
+    assert trial.usable[240:].all()
+    assert trial.phantom
+    assert np.allclose(trial.start_position, [0, 0, 0.95])
+
+
+def test_trial_without_a_measured_start_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"pose\.parquet(.|\n)*first 0\.5 s"):
+        load_trial(*_tables(tmp_path, interface_gap=slice(0, 45)), start_window_s=0.5, settle_s=1.0)

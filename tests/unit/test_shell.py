@@ -1,0 +1,136 @@
+"""Configuration, command line and fingerprints."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from real2sim import __main__ as cli
+from real2sim import provenance
+from real2sim.artefacts import read_table
+from real2sim.configuration import read_yaml, validated
+from real2sim.errors import InputError
+from real2sim.identification.parameters import PARAMETERS
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_shipped_config_is_the_schemas_defaults():
+    source = ROOT / "config" / "config.yaml"
+    assert validated(read_yaml(source), "config", source) == validated({}, "config", Path("none"))
+
+
+def test_bounds_are_the_papers():
+    bounds = validated({}, "config", Path("none"))["identification"]["bounds"]
+    rows = read_table(ROOT / "resources" / "published" / "bounds.csv", ("parameter", "lower", "upper"))
+    assert {r["parameter"]: [float(r["lower"]), float(r["upper"])] for r in rows} == {
+        name: list(map(float, bounds[name])) for name in PARAMETERS
+    }
+
+
+def test_unknown_key_names_file_place_and_the_nearest_key():
+    with pytest.raises(InputError) as caught:
+        validated({"identification": {"evaluatons": 5}}, "config", Path("config/mine.yaml"))
+    message = str(caught.value)
+    assert "config/mine.yaml, identification" in message
+    assert "Did you mean 'evaluations'?" in message
+
+
+def test_wrong_type_names_the_key_and_what_it_means():
+    with pytest.raises(InputError, match=r"plant\.timestep_s(.|\n)*Time step"):
+        validated({"plant": {"timestep_s": "fast"}}, "config", Path("c.yaml"))
+
+
+def test_every_key_of_the_schemas_is_described():
+    def walk(schema, place):
+        for key, sub in schema.get("properties", {}).items():
+            assert sub.get("description"), f"{place}.{key} has no description"
+            if sub.get("type") == "object":
+                assert sub.get("additionalProperties") is not None, f"{place}.{key} takes anything"
+            walk(sub, f"{place}.{key}")
+
+    for path in sorted((ROOT / "workflow" / "schemas").glob("*.yaml")):
+        walk(read_yaml(path), path.name)
+
+
+def test_every_command_can_be_loaded_and_explains_itself(capsys):
+    for command in cli.COMMANDS:
+        with pytest.raises(SystemExit) as stop:
+            cli.main([command, "--help"])
+        assert stop.value.code == 0
+    assert "--settings" in capsys.readouterr().out
+
+
+def test_bad_input_ends_with_the_message_and_code_2(tmp_path, capsys):
+    code = cli.main(
+        [
+            "loso-table",
+            "--loso",
+            str(tmp_path / "absent.json"),
+            "--settings",
+            "{}",
+            "--out",
+            str(tmp_path / "o"),
+        ]
+    )
+    assert code == 2
+    text = capsys.readouterr().err
+    assert "absent.json" in text
+    assert "remedy" in text
+
+
+def test_unknown_command_lists_the_known_ones(capsys):
+    assert cli.main(["fitt"]) == 2
+    assert "cross-trial" in capsys.readouterr().err
+
+
+@pytest.fixture
+def library(tmp_path, monkeypatch):
+    copied = tmp_path / "real2sim"
+    shutil.copytree(ROOT / "workflow" / "real2sim", copied, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(provenance, "LIBRARY", copied)
+    yield copied
+    _forget()
+
+
+def _forget():
+    provenance._tree.cache_clear()
+    provenance.fingerprint.cache_clear()
+
+
+def _edited(library, file, old, new, module):
+    _forget()
+    before = provenance.fingerprint(module)
+    path = library / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    _forget()
+    return before != provenance.fingerprint(module)
+
+
+FIT = "real2sim.identification.fit"
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "module", "changes"),
+    [
+        ("identification/cost.py", "1e6", "2e6", FIT, True),
+        ("coupling/plant.py", "PELVIS_MASS = 1e6", "PELVIS_MASS = 2e6", FIT, True),
+        ("geometry.py", "/ 2\n", "/ 2.5\n", FIT, True),
+        ("identification/cost.py", '"""Cost', '"""The cost', FIT, False),
+        (
+            "identification/cost.py",
+            "self._half_rate = rate_hz / 2",
+            "self._half_rate = rate_hz / 2  # x",
+            FIT,
+            False,
+        ),
+        ("figures/style.py", "#0072B2", "#0072B3", FIT, False),
+        ("figures/style.py", "#0072B2", "#0072B3", "real2sim.figures.fits", True),
+        ("identification/transfer.py", "< 2", "< 3", FIT, False),
+    ],
+)
+def test_fingerprint_follows_code_and_nothing_else(library, file, old, new, module, changes):
+    assert _edited(library, file, old, new, module) is changes

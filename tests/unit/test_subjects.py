@@ -1,0 +1,232 @@
+"""Folders of people: grammar, subject.yaml, everything that must be refused by name."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from real2sim.errors import InputError
+from real2sim.subjects import discover, parse_trial, read_subject
+
+VALUES = {
+    "id": "S01",
+    "cohort": "calibration",
+    "sex": "female",
+    "age_years": 27,
+    "mass_kg": 60.5,
+    "height_m": 1.66,
+    "waist_m": 0.74,
+    "tightness": {"loosest_cm": 3, "tightest_cm": 11, "safe_comfortable_cm": 8},
+}
+TRIALS = (
+    "neutral",
+    "rotation_T08",
+    "translation_T08",
+    "dynamic_1",
+    "dynamic_10",
+    "dynamic_2",
+    "walk_normal_1",
+)
+
+
+def person(root, name="S01", trials=TRIALS, **values):
+    folder = root / name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "subject.yaml").write_text(yaml.safe_dump(VALUES | {"id": name} | values))
+    for trial in trials:
+        for suffix in (".tsv", ".mot", ".mcap"):
+            if not (trial.startswith("walk_normal") and suffix == ".mcap"):
+                (folder / f"{trial}{suffix}").touch()
+    return folder
+
+
+def refusal(root):
+    with pytest.raises(InputError) as error:
+        discover(root)
+    assert error.value.remedy
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("neutral", ("neutral", None)),
+        ("rotation_T08", ("rotation", 8)),
+        ("translation_T12", ("translation", 12)),
+        ("dynamic_1", ("dynamic", 1)),
+        ("walk_normal_3", ("walk_normal", 3)),
+        ("walk_robot_12", ("walk_robot", 12)),
+    ],
+)
+def test_grammar(name, expected):
+    assert parse_trial(name) == expected
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "Neutral", "neutral_1", "rotation_T8", "rotation_8", "dynamic_0", "dynamic_01", "dynamic", "walk_1"],
+)
+def test_names_outside_the_grammar(name):
+    with pytest.raises(ValueError, match="is none of"):
+        parse_trial(name)
+
+
+def test_discover(tmp_path):
+    person(tmp_path, "S02", cohort="validation", markers={"LASI": "ASIS_L"})
+    folder = person(tmp_path, "S01")
+    (folder / "dynamic_1_6D.tsv").touch()
+    (folder / ".DS_Store").touch()
+    (tmp_path / ".gitkeep").touch()
+    people = discover(tmp_path)
+    assert list(people) == ["S01", "S02"]
+    one, two = people.values()
+    assert (one.cohort, two.cohort, one.phantom) == ("calibration", "validation", False)
+    assert set(one.trials) == set(TRIALS)
+    assert one.trials["dynamic_1"].log == folder / "dynamic_1.mcap"
+    assert one.trials["walk_normal_1"].log is None
+    assert one.trials_of("dynamic") == ["dynamic_1", "dynamic_2", "dynamic_10"]
+    assert one.tightness["safe_comfortable_cm"] == 8
+    assert two.markers == {"LASI": "ASIS_L"}
+    assert read_subject(folder) == one
+
+
+def test_no_folder_is_nobody(tmp_path):
+    assert discover(tmp_path / "none") == {}
+
+
+def test_exclude_keeps_the_reason(tmp_path):
+    folder = person(tmp_path, exclude={"dynamic_2": "strap came loose"})
+    (folder / "dynamic_2.mot").unlink()
+    one = discover(tmp_path)["S01"]
+    assert "dynamic_2" not in one.trials
+    assert one.exclude == {"dynamic_2": "strap came loose"}
+
+
+def test_phantom_flag(tmp_path):
+    person(tmp_path, phantom=True)
+    assert discover(tmp_path)["S01"].phantom
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("rotation_T8.mot", "trial name 'rotation_T8'"),
+        ("notes.docx", "unknown kind of file"),
+        ("dynamic_1.c3d", "two marker exports of dynamic_1"),
+        ("dynamic_1.sto", "two markerless exports of dynamic_1"),
+        ("dynamic_3.mot", "a marker export dynamic_3.tsv"),
+        ("dynamic_3.mcap", "a marker export dynamic_3.tsv"),
+        ("rotation_T12.tsv", "a markerless export"),
+    ],
+)
+def test_files_that_do_not_fit(tmp_path, file, message):
+    (person(tmp_path) / file).touch()
+    text = refusal(tmp_path)
+    assert message in text
+    assert Path(file).stem in text
+
+
+REMAINING = {"loosest_cm": 11, "tightest_cm": 3, "safe_comfortable_cm": 8}
+
+
+def test_strap_that_remains_at_the_buckle_counts_down(tmp_path):
+    person(tmp_path, tightness=REMAINING, trials=(*TRIALS, "rotation_T03", "rotation_T11"))
+    assert discover(tmp_path)["S01"].tightness == REMAINING
+
+
+@pytest.mark.parametrize("tightness", [VALUES["tightness"], REMAINING])
+@pytest.mark.parametrize("level", ["02", "12"])
+def test_level_out_of_range_in_either_sense(tmp_path, tightness, level):
+    person(tmp_path, tightness=tightness, trials=(*TRIALS, f"translation_T{level}"))
+    text = refusal(tmp_path)
+    assert f"translation_T{level}" in text
+    assert "3 to 11 cm" in text
+
+
+@pytest.mark.parametrize("tightness", [VALUES["tightness"], REMAINING])
+@pytest.mark.parametrize("own", [2, 12])
+def test_own_level_out_of_range_in_either_sense(tmp_path, tightness, own):
+    person(tmp_path, tightness=tightness | {"safe_comfortable_cm": own})
+    text = refusal(tmp_path)
+    assert "tightness.safe_comfortable_cm" in text
+    assert "3 to 11" in text
+
+
+@pytest.mark.parametrize(
+    ("tightness", "message"),
+    [
+        ({"loosest_cm": 11}, "two different levels"),
+        ({"loosest_cm": "three"}, "tightness.loosest_cm"),
+        ({"loosest_cm": 2.5}, "tightness.loosest_cm"),
+        ({"loosest": 2}, "unknown key 'loosest'"),
+    ],
+)
+def test_tightness_values(tmp_path, tightness, message):
+    person(tmp_path, tightness=VALUES["tightness"] | tightness)
+    text = refusal(tmp_path)
+    assert message in text
+    assert "S01/subject.yaml" in text
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"weight": 3}, "unknown key 'weight'"),
+        ({"height_m": 166}, "subject.yaml, height_m"),
+        ({"cohort": "test"}, "subject.yaml, cohort"),
+        ({"markers": {"LASI": "ASIS"}}, "subject.yaml, markers.LASI"),
+        ({"exclude": {"dynamic_9": "lost"}}, "key exclude"),
+        ({"exclude": {"neutral": "sneezed"}}, "no trial neutral (excluded: sneezed)"),
+        ({"id": "S02"}, "id S02 in a folder S01"),
+        ({"id": 1}, "subject.yaml, id"),
+    ],
+)
+def test_subject_values(tmp_path, values, message):
+    person(tmp_path, **values)
+    assert message in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "id: [", "- a", "id: S01\n"])
+def test_subject_yaml_that_is_none(tmp_path, text):
+    (person(tmp_path) / "subject.yaml").write_text(text)
+    assert "subject.yaml" in refusal(tmp_path)
+
+
+def test_subject_without_yaml(tmp_path):
+    (person(tmp_path) / "subject.yaml").unlink()
+    assert "no subject.yaml" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("missing", ["neutral", "rotation_T08", "translation_T08"])
+def test_trials_without_which_there_are_no_limits(tmp_path, missing):
+    person(tmp_path, trials=[t for t in TRIALS if t != missing])
+    assert f"no trial {missing}" in refusal(tmp_path)
+
+
+def test_folders_that_are_no_subjects(tmp_path):
+    person(tmp_path)
+    (tmp_path / "S_02").mkdir()
+    assert "S_02" in refusal(tmp_path)
+    (tmp_path / "S_02").rmdir()
+    (tmp_path / "list.csv").touch()
+    assert "list.csv" in refusal(tmp_path)
+
+
+def test_a_thousand_people_would_take_less_than_three_seconds(tmp_path):
+    for i in range(100):
+        person(tmp_path, f"S{i:03d}")
+    start = time.perf_counter()
+    assert len(discover(tmp_path)) == 100
+    assert time.perf_counter() - start < 0.3
+
+
+def test_light_imports():
+    heavy = ("numpy", "scipy", "pandas")
+    code = f"import sys, real2sim.subjects; print([m for m in {heavy} if m in sys.modules])"
+    workflow = Path(__file__).parents[2] / "workflow"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=workflow, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"

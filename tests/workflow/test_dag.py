@@ -1,0 +1,110 @@
+"""The DAG of a clean clone, and the seal on the phantom's truth."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+
+def _jobs(project) -> list[dict[str, str]]:
+    text = project.snakemake("--detailed-summary", "--cores", "1").stdout
+    lines = [line for line in text.splitlines() if "\t" in line]
+    header = lines[0].split("\t")
+    return [dict(zip(header, line.split("\t"), strict=False)) for line in lines[1:]]
+
+
+def test_dry_run_of_a_clean_clone(project):
+    start = time.monotonic()
+    planned = project.planned()
+    elapsed = time.monotonic() - start
+    assert planned["fit"] == 50
+    assert planned["all"] == 1
+    # 10 s is the bar on an idle machine; benchmarks/workflow.py measures it
+    assert elapsed < 60
+
+
+def test_no_rule_reads_the_sealed_truth(project):
+    jobs = _jobs(project)
+    sealed = [job for job in jobs if "results/phantom/sealed/" in job["output_file"]]
+    assert len(sealed) == 6
+    readers = [job["rule"] for job in jobs if "sealed" in job["input-file(s)"]]
+    assert readers == []
+    writers = {job["rule"] for job in sealed}
+    assert all(rule.startswith("phantom_") for rule in writers)
+    commands = [job["shellcmd"] for job in jobs if job["rule"] not in writers]
+    assert commands
+    assert not any("sealed" in command for command in commands)
+
+
+def test_nothing_but_the_phantom_stage_imports_the_phantom(project):
+    library = project.folder / "workflow" / "real2sim"
+    importers = [
+        path.relative_to(library).as_posix()
+        for path in library.rglob("*.py")
+        if path.parent.name != "phantom"
+        and "real2sim.phantom" in path.read_text().replace('"real2sim.phantom', "")
+    ]
+    assert importers == []
+
+
+def test_phantom_shares_no_code_with_the_identification(project):
+    phantom = project.folder / "workflow" / "real2sim" / "phantom"
+    for path in phantom.rglob("*.py"):
+        text = path.read_text()
+        for room in (
+            "coupling",
+            "identification",
+            "geometry",
+            "statistics",
+            "signals",
+            "alignment",
+            "ingest",
+        ):
+            assert f"real2sim.{room}" not in text, f"{path.name} imports {room}"
+
+
+def test_lint_is_clean(project):
+    done = project.snakemake("--lint", check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_snakefmt_is_clean(project):
+    files = ["Snakefile", *map(str, sorted((project.folder / "workflow" / "rules").glob("*.smk")))]
+    done = subprocess.run(
+        [sys.executable, "-m", "snakefmt", "--check", "-l", "110", *files],
+        cwd=project.folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
+    done = project.snakemake("-n", "--cores", "1", "--config", "cohort=real", check=False)
+    assert done.returncode != 0
+    assert "resources/subjects" in done.stdout
+    assert "at least one person to calibrate on" in done.stdout
+    assert "Traceback" not in done.stdout
+
+
+def test_unknown_key_is_refused_before_any_job(project):
+    project.configure(identification={"evaluatons": 3})
+    done = project.snakemake("-n", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert "Did you mean 'evaluations'?" in done.stdout
+
+
+def test_misnamed_trial_is_refused_before_any_job(project):
+    folder = project.folder / "resources" / "subjects" / "S09"
+    folder.mkdir()
+    (folder / "subject.yaml").write_text(
+        "id: S09\ncohort: calibration\nsex: male\nage_years: 30\nmass_kg: 80\nheight_m: 1.8\nwaist_m: 0.9\n"
+        "tightness: {loosest_cm: 3, tightest_cm: 12, safe_comfortable_cm: 8}\n"
+    )
+    (folder / "dynamic-1.tsv").write_text("")
+    done = project.snakemake("-n", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert "dynamic-1.tsv" in done.stdout
+    assert "remedy" in done.stdout

@@ -1,0 +1,108 @@
+"""What runs again and what does not: the complaint that users of workflows make most."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import time
+
+import pytest
+
+AGGREGATION = {
+    "shareability",
+    "priors",
+    "loso",
+    "loso_table",
+    "tightness_cohort",
+    "index_page",
+    "tightness_figure",
+    "convergence_figure",
+    "icc_figure",
+    "loso_figure",
+    "priors_table",
+    "cross_trial_table",
+    "identifiability_table",
+    "quality_table",
+    "all",
+}
+
+
+def test_second_run_has_nothing_to_do(mini):
+    assert mini.planned() == {}
+
+
+def test_touched_clone_fits_nothing(mini):
+    files = [path for path in mini.folder.rglob("*") if path.is_file() and ".snakemake" not in path.parts]
+    random.Random(1).shuffle(files)
+    now = time.time()
+    for i, path in enumerate(files):
+        os.utime(path, (now + i * 1e-3, now + i * 1e-3))
+    expensive = {"step_study", "fit", "assessment", "cross_trial", "ingest_S01", "joint_limits"}
+    assert not expensive & set(mini.planned())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("# velocity by central differences", "# a comment\n        # velocity by central differences"),
+        ('"""Cost of a replay against the measured', '"""A docstring, cost of a replay against the measured'),
+    ],
+)
+def test_comment_or_docstring_in_the_library_runs_nothing(mini, old, new):
+    mini.edit("workflow/real2sim/identification/cost.py", old, new)
+    assert mini.planned() == {}
+
+
+def test_changed_constant_in_the_cost_runs_all_fits_and_what_follows(mini):
+    mini.edit("workflow/real2sim/identification/cost.py", "FAILED_COST = 1e6", "FAILED_COST = 2e6")
+    planned = mini.planned()
+    assert planned["fit"] == 2 * 2 * 2
+    assert planned["cross_trial"] == 2
+    assert not [rule for rule in planned if rule.startswith(("ingest", "tightness_sweep", "joint_limits"))]
+    assert set(planned) <= AGGREGATION | {"step_study", "fit", "assessment", "noise_floor", "cross_trial"}
+
+
+def test_changed_setting_of_the_search_runs_all_fits(mini):
+    mini.configure(identification={"sigma0": 1.0})
+    assert mini.planned()["fit"] == 2 * 2 * 2
+
+
+def test_changed_colour_runs_only_figures(mini):
+    mini.edit("workflow/real2sim/figures/style.py", "#0072B2", "#0072B3")
+    planned = mini.planned()
+    assert planned
+    assert all("figure" in rule or rule in ("index_page", "all") for rule in planned), planned
+
+
+def test_new_person_runs_only_their_jobs_and_the_aggregation(mini, mini_raw):
+    shutil.copytree(mini_raw / "S03", mini.folder / "resources" / "subjects" / "S03")
+    planned = mini.planned()
+    assert planned["fit"] == 2 * 2
+    assert planned["cross_trial"] == 1
+    assert planned["joint_limits"] == 1
+    assert planned["tightness_sweep"] == 1
+    assert [rule for rule in planned if rule.startswith("ingest")] == ["ingest_S03"]
+    own = {
+        "step_study",
+        "fit",
+        "assessment",
+        "noise_floor",
+        "cross_trial",
+        "joint_limits",
+        "tightness_sweep",
+        "tightness_breakpoints",
+        "ingest_S03",
+        "gates_S03",
+        "quality_figure",
+    }
+    assert set(planned) <= AGGREGATION | own, planned
+
+
+def test_changed_raw_trial_fits_that_person_only(mini):
+    raw = mini.folder / "resources" / "subjects" / "S01" / "dynamic_1.tsv"
+    text = raw.read_text()
+    raw.write_text(text.replace("DESCRIPTION\t", "DESCRIPTION\tedited ", 1))
+    planned = mini.planned()
+    assert [rule for rule in planned if rule.startswith("ingest")] == ["ingest_S01"]
+    assert planned["fit"] == 4, "the person's own four fits and nobody else's"

@@ -1,0 +1,130 @@
+"""Command line of the stages: ``python -m real2sim <command> --option value``.
+
+Options are the keyword arguments of the stage's function; their annotations say how they are read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import json
+import os
+import sys
+import traceback
+import types
+from collections.abc import Callable, Sequence
+from typing import Any, get_args, get_origin, get_type_hints
+
+# By this line the workflow finds, at the end of a run, what failed and why
+FAILED = "error in stage"
+
+COMMANDS = {
+    "phantom": "real2sim.phantom.cohort:write_subject",
+    "ingest": "real2sim.ingest:ingest_subject",
+    "quality-subject": "real2sim.quality.stage:quality_subject",
+    "quality-table": "real2sim.quality.stage:quality_table",
+    "quality-figure": "real2sim.figures.quality:quality_figure",
+    "tightness-sweep": "real2sim.tightness:tightness_sweep",
+    "tightness-breakpoints": "real2sim.tightness:tightness_breakpoints",
+    "tightness-cohort": "real2sim.tightness:tightness_cohort",
+    "joint-limits": "real2sim.limits:joint_limits",
+    "step-study": "real2sim.identification.step_study:step_study",
+    "fit": "real2sim.identification.fit:fit_restart",
+    "assessment": "real2sim.identification.assessment:assessment",
+    "assessment-table": "real2sim.identification.assessment:assessment_table",
+    "noise-floor": "real2sim.identification.noise_floor:noise_floor",
+    "cross-trial": "real2sim.identification.transfer:cross_trial",
+    "loso": "real2sim.identification.transfer:loso_subject",
+    "loso-table": "real2sim.statistics.loso:loso_table",
+    "shareability": "real2sim.statistics.shareability:shareability",
+    "priors": "real2sim.statistics.shareability:priors",
+    "tightness-figure": "real2sim.figures.tightness:tightness_figure",
+    "convergence-figure": "real2sim.figures.fits:convergence_figure",
+    "icc-figure": "real2sim.figures.fits:icc_figure",
+    "loso-figure": "real2sim.figures.fits:loso_figure",
+    "priors-table": "real2sim.figures.tables:priors_table",
+    "cross-trial-table": "real2sim.figures.tables:cross_trial_table",
+    "index-page": "real2sim.figures.index:index_page",
+}
+
+
+def module_of(command: str) -> str:
+    """Library module that a command runs."""
+    return COMMANDS[command].split(":")[0]
+
+
+def _load(command: str) -> Callable[..., None]:
+    module, name = COMMANDS[command].split(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _json(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"not JSON: {error}") from error
+
+
+def _flag(text: str) -> bool:
+    if text not in ("true", "false"):
+        raise argparse.ArgumentTypeError("true or false")
+    return text == "true"
+
+
+def _add(parser: argparse.ArgumentParser, name: str, annotation: Any, required: bool) -> None:
+    option: dict[str, Any] = {"dest": name, "required": required}
+    if get_origin(annotation) is types.UnionType:
+        annotation = next(a for a in get_args(annotation) if a is not type(None))
+    if get_origin(annotation) is list:
+        option |= {"nargs": "*", "type": get_args(annotation)[0]}
+    elif get_origin(annotation) is dict or annotation is dict:
+        option["type"] = _json
+    elif annotation is bool:
+        option["type"] = _flag
+    else:
+        option["type"] = annotation
+    parser.add_argument(f"--{name.replace('_', '-')}", **option)
+
+
+def _parse(command: str, function: Callable[..., None], arguments: Sequence[str]) -> dict[str, Any]:
+    summary = (inspect.getdoc(function) or "").split("\n\n")[0]
+    parser = argparse.ArgumentParser(prog=f"python -m real2sim {command}", description=summary)
+    hints = get_type_hints(function)
+    defaults = inspect.signature(function).parameters
+    for name, parameter in defaults.items():
+        _add(parser, name, hints[name], parameter.default is inspect.Parameter.empty)
+    given = vars(parser.parse_args(arguments))
+    return {
+        name: value
+        for name, value in given.items()
+        if value is not None or defaults[name].default is inspect.Parameter.empty
+    }
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one stage; exit code 2 for bad input, whose message names the file and the remedy."""
+    # one job uses the threads it was given: linear algebra libraries would take every core
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    if not arguments or arguments[0] not in COMMANDS:
+        print(f"usage: python -m real2sim <command> ...\ncommands: {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    from real2sim.errors import InputError
+
+    command, *rest = arguments
+    function = _load(command)
+    try:
+        function(**_parse(command, function, rest))
+    except InputError as error:
+        print(f"\n{FAILED} '{command}': {error}\n", file=sys.stderr)
+        return 2
+    except Exception as error:
+        traceback.print_exc()
+        print(f"\n{FAILED} '{command}': {type(error).__name__}: {error}\n", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

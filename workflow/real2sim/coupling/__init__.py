@@ -1,0 +1,1 @@
+"""The robot, the strap and the replayed pelvis as one MuJoCo plant."""

@@ -1,0 +1,262 @@
+"""The simulated plant: robot twin, strap of six joints and a pelvis that follows its path and feels no reaction.
+
+The pelvis hangs at the end of the robot's own chain, behind the six strap joints in reverse (interface, hinges z y x,
+slides x y z, pelvis), as a body of immense inertia. Its path is imposed by a position and velocity servo with
+acceleration feed-forward. The strap's wrench moves it by less than a micrometre, so it is a kinematic input, and no
+loop has to be closed: the six strap joints are exactly the six coordinates q of the contract, their stiffness, damping
+and limits are MuJoCo's own. A weld would err by 0.2-0.4 mm (contract, section 5) and cost about twice the time.
+
+Steps are centred: the semi-implicit Euler step is a leapfrog whose velocities live half a step late, and implicit
+joint damping d acts as an extra inertia d h / 2 on it. An armature of -d h / 2 on each damped joint removes that
+first-order error, which leaves second order (measured: benchmarks/plant.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from real2sim.errors import InputError
+from real2sim.geometry import AXES
+
+ROBOT_JOINTS = ("base_x", "base_y", "base_yaw", "arm_lift", "arm_roll", "arm_pitch")
+STRAP_JOINTS = tuple(f"strap_{axis}" for axis in AXES)
+INTERFACE_SITES = ("interface_left", "interface_right")
+_SENSORS = (*INTERFACE_SITES, "pelvis")
+
+# Inertia of the pelvis stand-in: 10^4 robots, so that a strap force of 1 kN moves it by 50 nm against the servo
+PELVIS_MASS = 1e6
+PELVIS_INERTIA = 1e5
+# Servo in units of the time step: all of a velocity error and half of a position error are made good in one step
+SERVO_POSITION, SERVO_VELOCITY = 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """Pose (R0, p0) of the interface in the pelvis frame where q = 0: (3, 3) and (3,) [m]."""
+
+    rotation: np.ndarray
+    position: np.ndarray
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Joint limits of the interface, (6,) each [m, rad]."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def load_robot(path: Path) -> mujoco.MjSpec:
+    """Read a robot twin and check that it has the names that the plant needs.
+
+    Raises
+    ------
+    InputError
+        Where the file does not compile or a body, joint or site of the contract is missing.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, FileNotFoundError) as error:
+        raise InputError(path, "", str(error), "an MJCF that compiles", "Mend the robot twin.") from error
+    missing = (
+        [f"body {n}" for n in ("base", "arm", "interface") if spec.body(n) is None]
+        + [f"joint {n}" for n in ROBOT_JOINTS if spec.joint(n) is None]
+        + [f"site {n}" for n in INTERFACE_SITES if spec.site(n) is None]
+    )
+    if missing:
+        raise InputError(
+            path,
+            "",
+            f"no {', '.join(missing)}",
+            "the names of the robot twin (docs, own robot)",
+            "Rename them.",
+        )
+    return spec
+
+
+def interface_site_offset(robot: mujoco.MjModel) -> np.ndarray:
+    """Middle of the two interface sites in the interface body's frame, (3,) [m]."""
+    return np.mean([robot.site(name).pos for name in INTERFACE_SITES], axis=0)
+
+
+def robot_pose_for(robot: mujoco.MjModel, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Robot joint positions (6,) that put the interface at a pose of the world (inverse kinematics by Newton).
+
+    ``rotation`` (3, 3) and ``position`` (3,) [m] are those of the interface midpoint, order `ROBOT_JOINTS`.
+    Raises ValueError where the robot cannot reach the pose.
+    """
+    data = mujoco.MjData(robot)
+    body = robot.body("interface").id
+    offset = interface_site_offset(robot)
+    address = [robot.joint(name).qposadr[0] for name in ROBOT_JOINTS]
+    dofs = [robot.joint(name).dofadr[0] for name in ROBOT_JOINTS]
+    jac_p, jac_r = np.zeros((3, robot.nv)), np.zeros((3, robot.nv))
+    for _ in range(50):
+        mujoco.mj_kinematics(robot, data)
+        mujoco.mj_comPos(robot, data)
+        r_now = data.xmat[body].reshape(3, 3)
+        point = data.xpos[body] + r_now @ offset
+        error_r = rotation @ r_now.T
+        vector = np.array(
+            [error_r[2, 1] - error_r[1, 2], error_r[0, 2] - error_r[2, 0], error_r[1, 0] - error_r[0, 1]]
+        )
+        # half the skew part is sin(angle) axis: exact at convergence, contracting up to 90 degrees
+        error = np.concatenate([position - point, vector / 2])
+        if np.abs(error).max() < 1e-12:
+            return data.qpos[address].copy()
+        mujoco.mj_jac(robot, data, jac_p, jac_r, point, body)
+        data.qpos[address] += np.linalg.solve(np.vstack([jac_p, jac_r])[:, dofs], error)
+    if np.abs(error).max() < 1e-9:
+        return data.qpos[address].copy()
+    raise ValueError(f"the robot twin cannot reach the interface pose at {np.round(position, 3)} m")
+
+
+def _impedances(robot_settings: dict, controller: str) -> dict[str, dict[str, float]]:
+    base, arm = robot_settings[controller], robot_settings["arm"]
+    return {
+        **{f"base_{name}": base[name] for name in ("x", "y", "yaw")},
+        **{f"arm_{name}": arm[name] for name in ("lift", "roll", "pitch")},
+    }
+
+
+# Inertial constants of the robot twin: the body and which of its mass (None) or inertia's axes
+INERTIAL_CONSTANTS: dict[str, tuple[str, int | None]] = {
+    "base.mass": ("base", None),
+    "base.inertia_yaw": ("base", 2),
+    "arm.mass": ("arm", None),
+    "arm.inertia_roll": ("arm", 0),
+    "arm.inertia_pitch": ("arm", 1),
+    "interface.mass": ("interface", None),
+}
+
+
+def _drop_geoms(spec: mujoco.MjSpec) -> None:
+    """Take away shapes of bodies whose inertia is written down: nothing touches, but each costs time at every step."""
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        return
+    for body in spec.bodies:
+        if body.explicitinertial:
+            for geom in list(body.geoms):
+                spec.delete(geom)
+
+
+def _scale_inertia(spec: mujoco.MjSpec, key: str, factor: float) -> None:
+    name, axis = INERTIAL_CONSTANTS[key]
+    body = spec.body(name)
+    if not body.explicitinertial:
+        raise ValueError(f"body {name} has no <inertial>: {key} cannot be scaled")
+    if axis is None:
+        body.mass *= factor
+    else:
+        inertia = np.array(body.inertia)
+        inertia[axis] *= factor
+        body.inertia = inertia
+
+
+def build_plant(
+    robot: Path,
+    robot_settings: dict,
+    plant_settings: dict,
+    rest: RestPose,
+    limits: JointLimits | None,
+    start: np.ndarray,
+    reference_rotation: np.ndarray,
+    reference_origin: np.ndarray,
+    controller: str = "hold",
+    scale: dict[str, float] | None = None,
+) -> mujoco.MjModel:
+    """Compile the plant with neutral strap parameters (set them per simulation, see `replay.Replay`).
+
+    Parameters
+    ----------
+    robot
+        MJCF of the robot twin.
+    robot_settings, plant_settings
+        The slices ``robot`` and ``plant`` of the configuration.
+    rest, limits
+        Of the interface; None for no limits.
+    start
+        (6,) robot joints in the start pose, where the controller's springs rest.
+    reference_rotation, reference_origin
+        Frame of the pelvis drive in the world.
+    scale
+        Factors on inertial constants of the robot by name (`INERTIAL_CONSTANTS`), to see what hangs on them.
+    """
+    spec = load_robot(robot)
+    _drop_geoms(spec)
+    for key, factor in (scale or {}).items():
+        _scale_inertia(spec, key, factor)
+    h = float(plant_settings["timestep_s"])
+    spec.option.timestep = h
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    # the arm works about gravity balance and the base in the plane: weight does no work on the plant
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    for name, impedance in _impedances(robot_settings, controller).items():
+        joint = spec.joint(name)
+        joint.stiffness = [impedance["stiffness"], 0, 0]
+        joint.damping = [impedance["damping"], 0, 0]
+        joint.armature = joint.armature - impedance["damping"] * h / 2
+        joint.springref = start[ROBOT_JOINTS.index(name)]
+    interface = spec.body("interface")
+    middle = (np.array(spec.site("interface_left").pos) + np.array(spec.site("interface_right").pos)) / 2
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, rest.rotation.T.flatten())
+    pelvis = interface.add_body(
+        name="pelvis",
+        pos=middle,
+        quat=quat,
+        mass=PELVIS_MASS,
+        ipos=-rest.position,
+        inertia=[PELVIS_INERTIA] * 3,
+        explicitinertial=True,
+    )
+    hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    axes = dict(zip(AXES, [*np.eye(3), *np.eye(3)], strict=True))
+    for axis in ("rz", "ry", "rx", "tx", "ty", "tz"):
+        joint = pelvis.add_joint(
+            name=f"strap_{axis}", type=hinge if axis[0] == "r" else slide, axis=-axes[axis]
+        )
+        if limits is not None:
+            i = AXES.index(axis)
+            joint.range = [limits.lower[i], limits.upper[i]]
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.solref_limit = plant_settings["limit_solref"]
+            joint.solimp_limit = plant_settings["limit_solimp"]
+    pelvis.add_site(name="pelvis", pos=-rest.position)
+    mujoco.mju_mat2Quat(quat, reference_rotation.flatten())
+    spec.worldbody.add_site(name="pelvis_reference", pos=reference_origin, quat=quat)
+    kp, kd = servo_gains(h)
+    for i in range(6):
+        inertia = PELVIS_MASS if i < 3 else PELVIS_INERTIA
+        spec.add_actuator(
+            name=f"pelvis_{AXES[i]}",
+            trntype=mujoco.mjtTrn.mjTRN_SITE,
+            target="pelvis",
+            refsite="pelvis_reference",
+            gear=np.eye(6)[i],
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            gainprm=[inertia * kp] + [0] * 9,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            biasprm=[0, -inertia * kp, -inertia * kd] + [0] * 7,
+        )
+    for name in _SENSORS:
+        spec.add_sensor(
+            name=f"position_{name}",
+            type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(robot, "", str(error), "an MJCF that compiles", "Mend the robot twin.") from error
+
+
+def servo_gains(timestep: float) -> tuple[float, float]:
+    """Position and velocity gain of the pelvis servo per unit of inertia [1/s^2, 1/s]."""
+    return SERVO_POSITION / timestep**2, SERVO_VELOCITY / timestep

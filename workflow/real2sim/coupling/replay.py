@@ -1,0 +1,218 @@
+"""Replays of one trial: many parameter vectors at once, one `mujoco.batch` call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from real2sim.coupling.drive import PelvisDrive, pelvis_drive
+from real2sim.coupling.plant import (
+    ROBOT_JOINTS,
+    STRAP_JOINTS,
+    JointLimits,
+    RestPose,
+    build_plant,
+    load_robot,
+    robot_pose_for,
+    servo_gains,
+)
+from real2sim.errors import InputError
+from real2sim.geometry import interface_coordinates, relative_pose
+
+
+class Replay:
+    """Replay a measured pelvis path through the plant under many strap parameters.
+
+    Parameters
+    ----------
+    robot, robot_settings, plant_settings, rest, limits
+        See `plant.build_plant`.
+    time_s, pelvis_rotation, pelvis_position
+        Measured pelvis path: (n,), (n, 3, 3), (n, 3) [s, m], uniformly sampled.
+    start_rotation, start_position
+        Interface pose at the start (3, 3), (3,) [m], where the robot's controller holds.
+    nsim
+        Simulations per call, at most.
+    scale
+        Factors on inertial constants of the robot (`plant.INERTIAL_CONSTANTS`).
+
+    Attributes
+    ----------
+    nstep
+        Steps of one replay.
+    stride
+        Steps per sample.
+    nsim
+        Most simulations per call.
+    """
+
+    def __init__(
+        self,
+        *,
+        robot: Path,
+        robot_settings: dict,
+        plant_settings: dict,
+        time_s: np.ndarray,
+        pelvis_rotation: np.ndarray,
+        pelvis_position: np.ndarray,
+        start_rotation: np.ndarray,
+        start_position: np.ndarray,
+        rest: RestPose,
+        limits: JointLimits | None,
+        nsim: int,
+        scale: dict[str, float] | None = None,
+    ):
+        h = float(plant_settings["timestep_s"])
+        sample = float(time_s[1] - time_s[0])
+        self.stride = round(sample / h)
+        if abs(self.stride * h - sample) > 1e-9:
+            raise ValueError(f"plant.timestep_s = {h} does not divide the sample interval {sample}")
+        self.drive: PelvisDrive = pelvis_drive(time_s, pelvis_rotation, pelvis_position, h)
+        twin = load_robot(robot).compile()
+        try:
+            start = robot_pose_for(twin, start_rotation, start_position)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise InputError(
+                robot, "", str(error), "a twin that reaches the measured start pose", "Check its geometry."
+            ) from error
+        self.model = build_plant(
+            robot,
+            robot_settings,
+            plant_settings,
+            rest,
+            limits,
+            start,
+            self.drive.reference_rotation,
+            self.drive.reference_origin,
+            scale=scale,
+        )
+        self._robot_file = robot
+        self.nstep = len(self.drive.position)
+        kp, kd = servo_gains(h)
+        command = self.drive.position + (kd / kp) * self.drive.velocity + (1 / kp) * self.drive.acceleration
+        self._control = np.ascontiguousarray(np.broadcast_to(command, (nsim, *command.shape)))
+        self.nsim = nsim
+        self._batch = Batch(self.model, nsim, 1)
+        joints = [self.model.joint(name) for name in STRAP_JOINTS]
+        self._dofs = np.array([j.dofadr[0] for j in joints])
+        self._joints = np.array([j.id for j in joints])
+        self._stiffness = self._batch.expand("jnt_stiffness")
+        self._damping = self._batch.expand("dof_damping")
+        self._armature = self._batch.expand("dof_armature")
+        self._own_armature = self.model.dof_armature[self._dofs].copy()
+        self._start_state = self._initial_state(start, start_rotation, start_position, rest)
+        adr = self.model.sensor("position_interface_left").adr[0]
+        self._columns = slice(adr, adr + 6)
+        self._pelvis_columns = slice(adr + 6, adr + 9)
+        self._record = {"sensordata": np.empty((nsim, self.nstep, self.model.nsensordata))}
+
+    def _initial_state(
+        self, start: np.ndarray, start_rotation: np.ndarray, start_position: np.ndarray, rest: RestPose
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions and velocities at the start: robot at rest, pelvis on its path."""
+        from scipy.spatial.transform import Rotation
+
+        model, drive = self.model, self.drive
+        reference = drive.reference_rotation
+        r_p = reference @ Rotation.from_rotvec(drive.position[0, 3:]).as_matrix()
+        p_p = drive.reference_origin + reference @ drive.position[0, :3]
+        q = interface_coordinates(
+            *relative_pose(r_p, p_p, start_rotation, start_position), rest.rotation, rest.position
+        )
+        data = mujoco.MjData(model)
+        for name, value in zip(ROBOT_JOINTS, start, strict=True):
+            data.joint(name).qpos = value
+        data.qpos[model.jnt_qposadr[self._joints]] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jac_p, jac_r, model.site("pelvis").id)
+        twist = np.concatenate([reference @ drive.velocity[0, :3], reference @ drive.velocity[0, 3:]])
+        qvel = np.zeros(model.nv)
+        qvel[self._dofs] = np.linalg.solve(np.vstack([jac_p, jac_r])[:, self._dofs], twist)
+        return data.qpos.copy(), qvel
+
+    def check_bounds(self, upper_damping: np.ndarray) -> None:
+        """Refuse a robot too light for the time step: the step's centring needs a positive mass matrix.
+
+        ``upper_damping`` (6,) are the largest damping values that will be asked for. Raises InputError.
+        """
+        model = self._batch.get_model(0)
+        model.dof_armature[self._dofs] = self._own_armature - upper_damping * model.opt.timestep / 2
+        data = mujoco.MjData(model)
+        data.qpos[:] = self._start_state[0]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        scale = 1 / np.sqrt(np.abs(np.diag(mass)))
+        if np.linalg.eigvalsh(mass * np.outer(scale, scale)).min() <= 1e-9:
+            raise InputError(
+                self._robot_file,
+                "",
+                f"inertia too small for plant.timestep_s = {model.opt.timestep} at the upper damping bounds",
+                "a robot heavier than half the damping times the time step",
+                "Lower plant.timestep_s or the upper bounds of the damping.",
+            )
+
+    def run(self, parameters: np.ndarray) -> np.ndarray:
+        """Simulate strap parameters (m, 12), m <= nsim; returns interface sites (m, n, 2, 3) [m, world].
+
+        Sample i is at ``time_s[i]``; sites are left, right. A simulation that MuJoCo gave up on is NaN.
+        """
+        return self._samples(self._simulate(parameters))
+
+    def run_with_pelvis(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `run`, with the simulated pelvis origin (m, nstep, 3) [m, world] at every step."""
+        sensors = self._simulate(parameters)
+        return self._samples(sensors), sensors[:, :, self._pelvis_columns].copy()
+
+    def _samples(self, sensors: np.ndarray) -> np.ndarray:
+        sites = sensors[:, :: self.stride, self._columns]
+        # a copy: the record is written anew by the next call
+        return sites.reshape(*sites.shape[:2], 2, 3).copy()
+
+    def _simulate(self, parameters: np.ndarray) -> np.ndarray:
+        m = len(parameters)
+        batch, h = self._batch, self.model.opt.timestep
+        self._stiffness[:m, self._joints] = parameters[:, :6]
+        self._damping[:m, self._dofs] = parameters[:, 6:]
+        self._armature[:m, self._dofs] = self._own_armature - parameters[:, 6:] * h / 2
+        ids = np.arange(m)
+        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        batch.bind("qpos")[:m] = self._start_state[0]
+        batch.bind("qvel")[:m] = self._start_state[1]
+        whole = m == batch.nsim
+        record = self._record if whole else {"sensordata": self._record["sensordata"][:m]}
+        sensors = batch.rollout(
+            self.nstep,
+            self._control[:m],
+            record=("sensordata",),
+            ids=None if whole else ids,
+            out=record,
+        )["sensordata"]
+        failed = batch.warning[:m].any(axis=tuple(range(1, batch.warning.ndim)))
+        sensors[failed] = np.nan
+        return sensors
+
+
+def replay_check(replay: Replay, pelvis: np.ndarray) -> dict[str, float]:
+    """How far the simulated pelvis (nstep, 3) [m] is from its path, in space and in time.
+
+    Returns ``rms_m``, ``max_m`` and ``lag_s``: the shift of time that explains most of the error (least squares
+    of the error on the velocity; positive if the simulation is late).
+    """
+    drive = replay.drive
+    path = drive.reference_origin + drive.position[:, :3] @ drive.reference_rotation.T
+    velocity = drive.velocity[:, :3] @ drive.reference_rotation.T
+    error = pelvis - path
+    distance = np.linalg.norm(error, axis=1)
+    return {
+        "rms_m": float(np.sqrt(np.mean(distance**2))),
+        "max_m": float(distance.max()),
+        "lag_s": float(-np.sum(error * velocity) / max(np.sum(velocity * velocity), 1e-12)),
+    }

@@ -1,0 +1,1 @@
+"""Figures, printed tables and the index page: each reads files and writes files."""

@@ -1,0 +1,110 @@
+"""What every reader returns: small structures in SI units, raw in frame and clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An anomaly met while reading or processing a file.
+
+    ``severity`` is ``info``, ``warning`` or ``error``; ``place`` says where in the file; ``action`` says
+    what was done about it.
+    """
+
+    code: str
+    severity: str
+    file: str
+    place: str
+    message: str
+    action: str
+
+
+@dataclass(frozen=True)
+class Event:
+    """A mark that the operator set, on the clock [s] of the original recording."""
+
+    time_s: float
+    label: str
+
+
+@dataclass
+class MarkerRecording:
+    """Marker trajectories in the lab frame of the export.
+
+    ``time_s`` (n,) is the exporter's own clock [s]; ``positions`` maps a marker name to (n, 3) [m], NaN where
+    the marker is missing; ``rate_hz`` is the declared rate; ``first_frame`` the exporter's number of row 0.
+    ``residual_m`` maps a marker name to (n,) [m] where the format carries residuals.
+    """
+
+    time_s: np.ndarray
+    rate_hz: float
+    positions: dict[str, np.ndarray]
+    first_frame: int = 1
+    findings: list[Finding] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    residual_m: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class BodyRecording:
+    """Rigid bodies in the lab frame of the export.
+
+    By body name: ``positions`` (n, 3) [m], ``rotations`` (n, 3, 3) from body to lab, ``residual_m`` (n,);
+    NaN where the body is lost. ``angles_rad`` maps a body to the export's own angles by their names.
+    """
+
+    time_s: np.ndarray
+    rate_hz: float
+    positions: dict[str, np.ndarray]
+    rotations: dict[str, np.ndarray]
+    residual_m: dict[str, np.ndarray]
+    angles_rad: dict[str, dict[str, np.ndarray]]
+    first_frame: int = 1
+    findings: list[Finding] = field(default_factory=list)
+
+
+@dataclass
+class StorageRecording:
+    """An OpenSim table in the units it is written in: ``columns`` maps a name to (n, elements).
+
+    Elements are 1, or 3 (Vec3), 4 (Quaternion w x y z), 6 (SpatialVec). ``header`` has lower-case keys.
+    """
+
+    time_s: np.ndarray
+    columns: dict[str, np.ndarray]
+    header: dict[str, str]
+    header_lines: list[str]
+    findings: list[Finding] = field(default_factory=list)
+
+
+@dataclass
+class CoordinateRecording:
+    """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m]."""
+
+    time_s: np.ndarray
+    columns: dict[str, np.ndarray]
+    findings: list[Finding] = field(default_factory=list)
+
+
+@dataclass
+class RobotLog:
+    """A robot's log on the robot's clock [s since the log's first message].
+
+    ``base`` has columns ``x y yaw`` [m, m, rad] in the odometry frame and ``vx vy wz`` [m/s, m/s, rad/s] in
+    the base frame; ``joints`` maps a joint name to (n, 2) position and velocity [m or rad, per s]; ``wrench``
+    is (n, 6) force and torque [N, Nm] or None; ``sync_s`` are the times of rising edges of ``/sync``.
+    """
+
+    start_ns: int
+    base_time_s: np.ndarray
+    base: dict[str, np.ndarray]
+    joint_time_s: np.ndarray
+    joints: dict[str, np.ndarray]
+    wrench_time_s: np.ndarray | None = None
+    wrench: np.ndarray | None = None
+    sync_s: np.ndarray | None = None
+    findings: list[Finding] = field(default_factory=list)

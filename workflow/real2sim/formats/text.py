@@ -1,0 +1,177 @@
+"""What the text formats share: lines of a file, and tables of numbers that never shift a cell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim.errors import InputError
+
+_LARGE = 20_000  # cells from which on the fast parser pays
+_AGAIN = "the file may be cut off or edited: export it again"
+
+
+class Lines(list[str]):
+    """Lines of a file, and the bytes between whose line feeds they lie."""
+
+    raw: bytes = b""
+
+
+def read_lines(path: Path, expected: str, remedy: str) -> Lines:
+    """Lines of a text file, whatever its line ends; UTF-8 with or without mark, else Windows-1252.
+
+    Raises InputError where the file cannot be opened, is empty or is binary.
+    """
+    raw = read_bytes(path, expected, remedy)
+    if b"\0" in raw:
+        raise InputError(path, "", "binary data", f"{expected} (text)", remedy, "binary")
+    if b"\r" in raw:  # on bytes, which is five times as fast
+        raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    raw = raw.removeprefix(b"\xef\xbb\xbf")
+    try:
+        lines = Lines(raw.decode().split("\n"))
+    except UnicodeDecodeError:
+        return Lines(raw.decode("cp1252", errors="replace").split("\n"))
+    lines.raw = raw
+    return lines
+
+
+def read_bytes(path: Path, expected: str, remedy: str) -> bytes:
+    """Contents of a file. Raises InputError where it cannot be opened or is empty."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, "", f"{error.strerror or error}", expected, remedy, "unreadable") from error
+    if not raw[:4096].strip() and not raw.strip():
+        raise InputError(path, "", "an empty file", expected, remedy, "empty")
+    return raw
+
+
+def stripped(cells: list[str]) -> list[str]:
+    """Cells without blanks around them and without empty ones at the end."""
+    cells = [cell.strip() for cell in cells]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def cells_of(line: str) -> list[str]:
+    """Cells of a line: between tabs, or between blanks where there is no tab."""
+    return line.split("\t") if "\t" in line else line.split()
+
+
+def number(path: Path, line: int, column: int, cell: str, *, blank: bool) -> float:
+    """One cell, NaN where it is blank and may be. Raises InputError with the place (both counted from 0)."""
+    text = cell.strip()
+    if not text and blank:
+        return np.nan
+    try:
+        if "_" in text or not text.isascii():  # Python reads 1_000 and Arabic digits, no export writes them
+            raise ValueError
+        return float(text)
+    except ValueError:
+        remedy = "export with a decimal point" if "," in cell else _AGAIN
+        place = f"line {line + 1}, column {column + 1}"
+        raise InputError(path, place, repr(cell), "a number", remedy, "not_a_number") from None
+
+
+def read_table(
+    path: Path, lines: list[str], rows: list[int], width: int, expected: str, *, blank: bool = True
+) -> np.ndarray:
+    """Numbers (n, width) of the lines ``rows``; NaN where a cell is blank.
+
+    All rows must have the same number of cells, ``width`` or more with only blanks beyond: a row with a cell
+    too few or too many cannot be put right by cutting its end. Raises InputError with the line.
+    """
+    if not rows:
+        return np.empty((0, width))
+    tabs = any("\t" in lines[i] for i in rows)
+    counts = [lines[i].count("\t") + 1 if tabs else len(lines[i].split()) for i in rows]
+    usual = max(set(counts), key=lambda count: (counts.count(count), count))
+    for i, count in zip(rows, counts, strict=True):
+        if count != usual or count < width:
+            found = f"{count} cells" + (f", {usual} in most rows" if count != usual else "")
+            raise InputError(path, f"line {i + 1}", found, f"{width} cells ({expected})", _AGAIN, "row_cells")
+    table = _fast(lines, rows, usual, blank) if tabs and len(rows) * usual > _LARGE else None
+    if table is None:
+        table = np.array(
+            [
+                [
+                    number(path, i, c, cell, blank=blank or c >= width)
+                    for c, cell in enumerate(lines[i].split("\t") if tabs else lines[i].split())
+                ]
+                for i in rows
+            ]
+        )
+    beyond = np.argwhere(~np.isnan(table[:, width:]))
+    if len(beyond):
+        i, found = rows[beyond[0][0]], f"{usual} cells with numbers in all of them"
+        raise InputError(path, f"line {i + 1}", found, f"{width} cells ({expected})", _AGAIN, "row_cells")
+    infinite = np.argwhere(np.isinf(table)) if np.isinf(table).any() else np.empty((0, 2), int)
+    if len(infinite):
+        place = f"line {rows[infinite[0][0]] + 1}, column {infinite[0][1] + 1}"
+        raise InputError(path, place, "an infinite value", "a number", _AGAIN, "not_finite")
+    return table[:, :width]
+
+
+def _fast(lines: list[str], rows: list[int], width: int, blank: bool) -> np.ndarray | None:
+    """The same by Arrow; None where anything is out of the ordinary, so that the slow way can name it."""
+    import pyarrow
+    from pyarrow import csv
+
+    text = _body(lines, rows)
+    names = [str(i) for i in range(width)]
+    convert = csv.ConvertOptions(
+        column_types={name: pyarrow.float64() for name in names},
+        null_values=["", "NaN", "nan", "NAN"],
+        strings_can_be_null=False,
+    )
+    parse = csv.ParseOptions(delimiter="\t", quote_char=False, ignore_empty_lines=True)
+    read = csv.ReadOptions(column_names=names, block_size=1 << 22)
+    try:
+        table = csv.read_csv(pyarrow.BufferReader(text), read, parse, convert)
+    except pyarrow.ArrowException:
+        return None
+    if table.num_rows != len(rows) or (not blank and any(c.null_count for c in table.columns)):
+        return None
+    out, at = np.empty((len(rows), width)), 0
+    for batch in table.to_batches():  # piece by piece, which memory and caches like
+        out[at : at + batch.num_rows] = np.stack([_numbers(column) for column in batch.columns]).T
+        at += batch.num_rows
+    return out
+
+
+def _numbers(column: Any) -> np.ndarray:
+    """An Arrow array by its buffers, null as NaN: to_numpy() would import pandas, which takes a second."""
+    valid, data = column.buffers()
+    span = slice(column.offset, column.offset + len(column))
+    values = np.frombuffer(data, float)[span]
+    if not column.null_count:
+        return values
+    known = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")[span]
+    return np.where(known, values, np.nan)
+
+
+def _body(lines: list[str], rows: list[int]) -> bytes | memoryview:
+    """The bytes of some lines; without a copy where they are all that follows in the file."""
+    raw = getattr(lines, "raw", b"")
+    if not raw or rows[-1] - rows[0] != len(rows) - 1 or any(lines[rows[-1] + 1 :]):
+        return "\n".join(map(lines.__getitem__, rows)).encode()
+    start = 0
+    for _ in range(rows[0]):
+        start = raw.index(b"\n", start) + 1
+    return memoryview(raw)[start:]
+
+
+def increasing(path: Path, values: np.ndarray, name: str, rows: list[int], column: int) -> None:
+    """Raise InputError unless a column increases row by row and starts with a number."""
+    wrong = np.flatnonzero(~(np.diff(values) > 0))
+    if not len(values) or (not len(wrong) and np.isfinite(values[0])):
+        return
+    i = int(wrong[0]) + 1 if len(wrong) else 0
+    found = f"{name} {values[i]:g}" + (f" after {values[i - 1]:g}" if i else "")
+    remedy = "export the trial again; do not join or sort exports by hand"
+    place = f"line {rows[i] + 1}, column {column + 1}"
+    raise InputError(path, place, found, f"{name} increasing row by row", remedy, "time_order")

@@ -1,0 +1,1 @@
+"""Cost, search and what becomes of a fit."""

@@ -1,0 +1,1 @@
+"""Synthetic people written as raw exports by physics of their own; no analysis imports this package."""

@@ -1,0 +1,118 @@
+"""Gaps, filter, derivative, resampling: signals (n,) or (n, k) with NaN where nothing is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+
+# Samples on either side of a gap that the cubic is fitted to: two determine it, four halve the effect of
+# noise.
+_SUPPORT = 4
+
+
+def segments(good: np.ndarray) -> list[slice]:
+    """Contiguous runs where ``good`` (n,) is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def known(values: np.ndarray) -> np.ndarray:
+    """Samples (n,) at which every column is finite."""
+    return np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+
+
+def fill_gaps(values: np.ndarray, rate_hz: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Fill gaps of at most ``max_gap_s`` by a cubic; returns the signal and where it was filled (n,).
+
+    The cubic is fitted to four samples on either side (two at least). Longer gaps and both ends stay NaN.
+    """
+    out, good = values.copy(), known(values)
+    out[~good] = np.nan
+    filled = np.zeros(len(values), bool)
+    runs = segments(good)
+    longest = int(np.floor(max_gap_s * rate_hz + 1e-6))
+    for before, after in pairwise(runs):
+        gap = slice(before.stop, after.start)
+        left = np.arange(max(before.start, before.stop - _SUPPORT), before.stop)
+        right = np.arange(after.start, min(after.stop, after.start + _SUPPORT))
+        if gap.stop - gap.start > longest or min(len(left), len(right)) < 2:
+            continue
+        support, missing = np.concatenate([left, right]), np.arange(gap.start, gap.stop)
+        middle, half = (support[0] + support[-1]) / 2, (support[-1] - support[0]) / 2
+        basis = np.vander((support - middle) / half, 4)
+        cubic = np.linalg.lstsq(basis, values[support], rcond=None)[0]
+        out[gap] = np.vander((missing - middle) / half, 4) @ cubic
+        filled[gap] = True
+    return out, filled
+
+
+def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> np.ndarray:
+    """Zero-phase Butterworth low-pass, each contiguous stretch by itself.
+
+    ``order`` counts both passes (4: second order forward and backward). The design cutoff is raised so that
+    the double pass is at -3 dB at ``cutoff_hz`` (Winter, Biomechanics and Motor Control of Human Movement,
+    2.2.4.4), in the prewarped frequency so that it holds at any rate. A cutoff above the Nyquist frequency
+    filters nothing.
+    """
+    if order % 2 or order < 2:
+        raise ValueError(f"order {order}: a double pass has an even order")
+    if cutoff_hz >= rate_hz / 2:
+        return values.copy()
+    correction = (np.sqrt(2) - 1) ** (-1 / order)
+    warped = np.tan(np.pi * cutoff_hz / rate_hz) * correction
+    sos = butter(order // 2, np.arctan(warped) / np.pi * 2, output="sos")
+    out = np.full(values.shape, np.nan)
+    for run in segments(known(values)):
+        length = run.stop - run.start
+        pad = min(length - 1, int(3 * rate_hz / cutoff_hz))
+        out[run] = sosfiltfilt(sos, values[run], axis=0, padlen=pad)
+    return out
+
+
+def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Time derivative: five-point central differences, three-point at the ends of each contiguous stretch.
+
+    Exact for quadratics everywhere and for quartics inside; stretches of fewer than three samples give NaN.
+    """
+    out = np.full(values.shape, np.nan)
+    for run in segments(known(values)):
+        x = values[run]
+        if len(x) < 3:
+            continue
+        slope = np.gradient(x, 1 / rate_hz, axis=0, edge_order=2)
+        if len(x) > 4:
+            slope[2:-2] = (8 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) * (rate_hz / 12)
+        out[run] = slope
+    return out
+
+
+def resample(
+    time_s: np.ndarray, values: np.ndarray, new_time_s: np.ndarray, max_gap_s: float = np.inf
+) -> np.ndarray:
+    """Values at new times by cubic splines through each contiguous stretch; NaN outside of them.
+
+    Where two samples lie more than ``max_gap_s`` apart, a stretch ends.
+    """
+    if len(time_s) == len(new_time_s) and np.abs(time_s - new_time_s).max() < 1e-9:
+        return values.copy()
+    out = np.full((len(new_time_s), *values.shape[1:]), np.nan)
+    good = known(values)
+    t_good, x_good = time_s[good], values[good]
+    # A stretch ends where a sample is missing and where the clock jumps.
+    rows = np.flatnonzero(good)
+    breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(t_good) > max_gap_s)) + 1
+    for t, x in zip(np.split(t_good, breaks), np.split(x_good, breaks), strict=True):
+        if not len(t):
+            continue
+        inside = (new_time_s >= t[0] - 1e-9) & (new_time_s <= t[-1] + 1e-9)
+        out[inside] = CubicSpline(t, x)(new_time_s[inside]) if len(t) > 1 else x[0]
+    return out
+
+
+def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
+    """Times k / rate within [start, end]."""
+    first, last = int(np.ceil(start_s * rate_hz - 1e-6)), int(np.floor(end_s * rate_hz + 1e-6))
+    return np.arange(first, last + 1) / rate_hz

@@ -1,0 +1,1 @@
+"""Statistics of fits across people: ICC, shareability, piecewise regression, leave-one-subject-out."""

@@ -1,0 +1,251 @@
+"""The people of a study and their trials, as they lie in folders: ``<root>/<SUBJECT>/<TRIAL>.<kind>``.
+
+Light imports only: the workflow calls this every time it is parsed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from real2sim.configuration import read_yaml, validated
+from real2sim.errors import InputError
+
+TRIAL_GRAMMAR = (
+    "neutral, rotation_T<LEVEL>, translation_T<LEVEL> (LEVEL: two digits, cm), "
+    "dynamic_<N>, walk_normal_<N> or walk_robot_<N> (N: 1, 2, ...)"
+)
+MARKER_SUFFIXES = (".tsv", ".c3d", ".mat")
+MARKERLESS_SUFFIXES = (".mot", ".sto", ".trc")
+LOG_SUFFIXES = (".mcap",)
+SUBJECT_FILE = "subject.yaml"
+_KINDS = {
+    "marker export": MARKER_SUFFIXES,
+    "markerless export": MARKERLESS_SUFFIXES,
+    "robot log": LOG_SUFFIXES,
+}
+_KIND_OF = {suffix: kind for kind, suffixes in _KINDS.items() for suffix in suffixes}
+_TRIAL = re.compile(
+    r"(?P<neutral>neutral)"
+    r"|(?P<swept>rotation|translation)_T(?P<level>\d\d)"
+    r"|(?P<counted>dynamic|walk_normal|walk_robot)_(?P<number>[1-9]\d*)"
+)
+_SUBJECT_ID = re.compile(r"[A-Za-z0-9]+")
+_NOT_TRIALS = ("README.md", "README.txt")  # may lie beside the subjects and in their folders
+
+
+@dataclass(frozen=True)
+class TrialFiles:
+    """Raw files of one trial; a robot log is optional."""
+
+    markers: Path
+    markerless: Path
+    log: Path | None = None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One person: what `subject.yaml` says, and the trials that are not excluded.
+
+    ``tightness`` has the keys loosest_cm, tightest_cm, safe_comfortable_cm; ``markers`` maps the lab's marker
+    names to ours; ``exclude`` maps a trial that is left out to the reason.
+    """
+
+    id: str
+    cohort: str
+    sex: str
+    age_years: float
+    mass_kg: float
+    height_m: float
+    waist_m: float
+    tightness: dict[str, int]
+    markers: dict[str, str] = field(default_factory=dict)
+    exclude: dict[str, str] = field(default_factory=dict)
+    trials: dict[str, TrialFiles] = field(default_factory=dict)
+    folder: Path = Path()
+    phantom: bool = False
+
+    def trials_of(self, *kinds: str) -> list[str]:
+        """Names of the trials of some kinds, ordered by kind and number."""
+        keyed = [(parse_trial(name), name) for name in self.trials]
+        chosen = [(kinds.index(kind), number or 0, name) for (kind, number), name in keyed if kind in kinds]
+        return [name for _, _, name in sorted(chosen)]
+
+
+def parse_trial(name: str) -> tuple[str, int | None]:
+    """Kind of a trial and its tightness level [cm] or number; None for ``neutral``.
+
+    Raises ValueError if the name does not fit the grammar (contract, section 1).
+    """
+    match = _TRIAL.fullmatch(name)
+    if not match:
+        raise ValueError(f"{name!r} is none of: {TRIAL_GRAMMAR}")
+    if match["swept"]:
+        return match["swept"], int(match["level"])
+    if match["counted"]:
+        return match["counted"], int(match["number"])
+    return "neutral", None
+
+
+def discover(root: Path) -> dict[str, Subject]:
+    """All subjects below ``root``, by id in alphabetical order; none if the folder is not there.
+
+    Raises InputError for the first thing that does not fit. Only hidden files are left out in silence.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        return {}
+    subjects: dict[str, Subject] = {}
+    declared: dict[str, str] = {}
+    with os.scandir(root) as entries:
+        found = sorted((entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith("."))
+    for name, is_folder in found:
+        if name in _NOT_TRIALS:
+            continue
+        if not is_folder or not _SUBJECT_ID.fullmatch(name):
+            what = f"a folder named {name!r}" if is_folder else "a file"
+            expected = "one folder per person, named by letters and digits (S01, ...)"
+            raise InputError(root / name, "", what, expected, "rename it or move it elsewhere", "folder_name")
+        values = subject_values(root / name)
+        if values["id"] in declared:
+            found_ = f"id {values['id']}, which {declared[values['id']]}/{SUBJECT_FILE} has already"
+            remedy = "give each person an id, or remove the folder that is a copy"
+            raise InputError(root / name / SUBJECT_FILE, "key id", found_, f"id {name}", remedy, "subject_id")
+        declared[values["id"]] = name
+        if values["id"] != name:
+            found_ = f"id {values['id']} in a folder {name}"
+            remedy = "correct the id, or rename the folder"
+            raise InputError(root / name / SUBJECT_FILE, "key id", found_, f"id {name}", remedy, "subject_id")
+        subjects[name] = _subject(root / name, values)
+    return subjects
+
+
+def read_subject(folder: Path) -> Subject:
+    """One subject's folder, checked as `discover` does."""
+    folder = Path(folder)
+    return _subject(folder, subject_values(folder))
+
+
+# -------------------- subject.yaml
+
+
+def subject_values(folder: Path) -> dict[str, Any]:
+    """What a folder's `subject.yaml` says, valid by its schema. Raises InputError naming file and key."""
+    path = folder / SUBJECT_FILE
+    if not path.exists():
+        expected = f"{SUBJECT_FILE} that says who this person is"
+        raise InputError(
+            folder, "", f"no {SUBJECT_FILE}", expected, f"add {path} (config/README.md)", "subject_file"
+        )
+    values = validated(read_yaml(path), "subject", path)
+    _check_tightness(path, values["tightness"])
+    return values
+
+
+def _range_cm(tightness: dict[str, int]) -> tuple[int, int]:
+    """Smallest and largest level: strap that remains at the buckle has its tightest level at the lower end."""
+    ends = tightness["loosest_cm"], tightness["tightest_cm"]
+    return min(ends), max(ends)
+
+
+def _check_tightness(path: Path, tightness: dict[str, int]) -> None:
+    own, (low, high) = tightness["safe_comfortable_cm"], _range_cm(tightness)
+    if low == high:
+        found = f"loosest_cm and tightest_cm both {low}"
+        raise InputError(
+            path, "key tightness", found, "two different levels", "correct the levels", "tightness"
+        )
+    if not low <= own <= high:
+        expected = f"{low} to {high}"
+        place = "key tightness.safe_comfortable_cm"
+        raise InputError(
+            path, place, f"{own}", expected, "correct safe_comfortable_cm or the range", "tightness"
+        )
+
+
+# -------------------- trials
+
+
+def _subject(folder: Path, values: dict[str, Any]) -> Subject:
+    exclude = {str(k): v for k, v in values["exclude"].items()}
+    files = _files(folder)
+    for name in exclude:
+        if name not in files:
+            expected = f"a trial that is there: {', '.join(sorted(files)) or 'none'}"
+            remedy = "correct the name, or remove the line"
+            raise InputError(folder / SUBJECT_FILE, "key exclude", name, expected, remedy, "excluded_trial")
+    trials = {name: _trial(folder, name, kinds) for name, kinds in files.items() if name not in exclude}
+    _check_levels(folder, list(trials), values["tightness"])
+    _check_required(folder, trials, exclude, values["tightness"]["safe_comfortable_cm"])
+    rest = {k: v for k, v in values.items() if k not in ("exclude", "markers")}
+    return Subject(**rest, markers=dict(values["markers"]), exclude=exclude, trials=trials, folder=folder)
+
+
+def _files(folder: Path) -> dict[str, dict[str, Path]]:
+    """Files by trial and kind."""
+    out: dict[str, dict[str, Path]] = {}
+    with os.scandir(folder) as entries:
+        names = sorted(entry.name for entry in entries if not entry.name.startswith("."))
+    for name in names:
+        if name == SUBJECT_FILE or name in _NOT_TRIALS:
+            continue
+        trial, suffix = os.path.splitext(name)
+        kind = _KIND_OF.get(suffix)
+        if kind is None:
+            expected = f"{SUBJECT_FILE} and trials as {', '.join(_KIND_OF)}"
+            raise InputError(
+                folder / name, "", "an unknown kind of file", expected, "move it elsewhere", "file_kind"
+            )
+        if kind == "marker export" and trial.endswith("_6D"):
+            kind, trial = "6D export", trial.removesuffix("_6D")
+        if not _TRIAL.fullmatch(trial):
+            remedy = "rename the trial's files"
+            raise InputError(folder / name, "", f"trial name {trial!r}", TRIAL_GRAMMAR, remedy, "trial_name")
+        kinds = out.setdefault(trial, {})
+        if kind in kinds:
+            found = f"two {kind}s of {trial}: {kinds[kind].name} and {name}"
+            raise InputError(
+                folder / name, "", found, f"one {kind} per trial", "keep one of them", "two_files"
+            )
+        kinds[kind] = folder / name
+    return out
+
+
+def _trial(folder: Path, name: str, kinds: dict[str, Path]) -> TrialFiles:
+    for kind in ("marker export", "markerless export"):
+        if kind not in kinds:
+            there = ", ".join(path.name for path in kinds.values())
+            expected = f"a {kind} {name}{' or '.join(_KINDS[kind])}"
+            remedy = f"add the file, or name the trial under exclude: in {SUBJECT_FILE}"
+            raise InputError(folder / name, "", f"only {there}", expected, remedy, "partner_file")
+    return TrialFiles(kinds["marker export"], kinds["markerless export"], kinds.get("robot log"))
+
+
+def _check_levels(folder: Path, trials: list[str], tightness: dict[str, int]) -> None:
+    low, high = _range_cm(tightness)
+    for name in trials:
+        kind, level = parse_trial(name)
+        if kind in ("rotation", "translation") and level is not None and not low <= level <= high:
+            found = f"tightness {level} cm"
+            expected = f"{low} to {high} cm ({SUBJECT_FILE}, tightness)"
+            raise InputError(
+                folder / name, "", found, expected, "correct the trial's name or the range", "trial_level"
+            )
+
+
+def _check_required(
+    folder: Path, trials: dict[str, TrialFiles], exclude: dict[str, str], own_level: int
+) -> None:
+    needed = {
+        "neutral": "the rest pose of the interface",
+        f"rotation_T{own_level:02d}": "the joint limits at T*",
+        f"translation_T{own_level:02d}": "the joint limits at T*",
+    }
+    for name, purpose in needed.items():
+        if name not in trials:
+            found = f"no trial {name}" + (f" (excluded: {exclude[name]})" if name in exclude else "")
+            remedy = f"add {name}.tsv and {name}.mot, or correct safe_comfortable_cm"
+            raise InputError(folder, "", found, f"{name}, for {purpose}", remedy, "trial_missing")

@@ -1,0 +1,204 @@
+"""Figures, tables and the page that links them: from files only, so a changed colour re-fits nothing.
+
+Inputs:  sweeps, fits, ICC, priors, LOSO and cross-trial files.
+Outputs: results/figures/*.{png,pdf}, results/tables/*.csv, results/index.html.
+Steps:   one rule per figure or table.
+"""
+
+FIGURES = ["tightness", "convergence", "icc", "loso"]
+
+
+rule tightness_figure:
+    """Allowable motion against normalised tightness (paper, Fig. 3)."""
+    input:
+        sweeps=expand("results/tightness/{subject}/sweep.csv", subject=PEOPLE),
+        cohort="results/tightness/cohort.json",
+    output:
+        multiext("results/figures/tightness", ".png", ".pdf"),
+    log:
+        "logs/figures/tightness_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/tightness_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("tightness-figure"),
+    shell:
+        "python -m real2sim tightness-figure --sweeps {input.sweeps:q} --cohort {input.cohort:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule convergence_figure:
+    """Cost against evaluations per person (paper, Fig. 4 top)."""
+    input:
+        fits=fits_of(CALIBRATION),
+        floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
+    output:
+        multiext("results/figures/convergence", ".png", ".pdf"),
+    log:
+        "logs/figures/convergence_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/convergence_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("convergence-figure"),
+    shell:
+        "python -m real2sim convergence-figure --fits {input.fits:q} --floors {input.floors:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule icc_figure:
+    """ICC with intervals, and the parameters' distributions (paper, Fig. 4 middle)."""
+    input:
+        fits="results/shareability/fits.csv",
+        icc="results/shareability/icc.csv",
+    output:
+        multiext("results/figures/icc", ".png", ".pdf"),
+    log:
+        "logs/figures/icc_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/icc_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("icc-figure"),
+    shell:
+        "python -m real2sim icc-figure --fits {input.fits:q} --icc {input.icc:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule loso_figure:
+    """LOSO overhead per person (paper, Fig. 4 bottom)."""
+    input:
+        loso="results/loso/loso.csv",
+    output:
+        multiext("results/figures/loso", ".png", ".pdf"),
+    log:
+        "logs/figures/loso_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/loso_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("loso-figure"),
+    shell:
+        "python -m real2sim loso-figure --loso {input.loso:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule priors_table:
+    """Priors beside the published ones (paper, Table I)."""
+    input:
+        priors="results/priors/priors.csv",
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/tables/priors.csv",
+    log:
+        "logs/figures/priors_table.log",
+    benchmark:
+        "logs/benchmarks/figures/priors_table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("priors-table"),
+    shell:
+        "python -m real2sim priors-table --priors {input.priors:q} --published {input.published:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule cross_trial_table:
+    """Cross-trial cost per person beside the published one (paper, section V-B)."""
+    input:
+        cross_trial=expand("results/cross_trial/{subject}.json", subject=CALIBRATION),
+        floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
+        published=f"{PUBLISHED}/cross_trial.csv",
+    output:
+        "results/tables/cross_trial.csv",
+    log:
+        "logs/figures/cross_trial_table.log",
+    benchmark:
+        "logs/benchmarks/figures/cross_trial_table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("cross-trial-table"),
+    shell:
+        "python -m real2sim cross-trial-table --cross-trial {input.cross_trial:q} --floors {input.floors:q} --published {input.published:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule identifiability_table:
+    """Verdict on each parameter of each trial."""
+    input:
+        assessments=[
+            f"results/identifiability/{name}/{trial}.json"
+            for name in CALIBRATION
+            for trial in PEOPLE[name].trials_of("dynamic")
+        ],
+    output:
+        "results/tables/identifiability.csv",
+    log:
+        "logs/figures/identifiability_table.log",
+    benchmark:
+        "logs/benchmarks/figures/identifiability_table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("assessment-table"),
+    shell:
+        "python -m real2sim assessment-table --assessments {input.assessments:q} --out {output:q} 2>&1"
+        " | tee {log:q}"
+
+
+rule index_page:
+    """One page with all figures and tables."""
+    input:
+        figures=expand("results/figures/{name}.{kind}", name=FIGURES, kind=["png", "pdf"]),
+        tables=[
+            "results/tables/priors.csv",
+            "results/tables/identifiability.csv",
+            "results/tables/cross_trial.csv",
+            "results/loso/loso.csv",
+            "results/shareability/icc.csv",
+        ],
+    output:
+        "results/index.html",
+    log:
+        "logs/figures/index_page.log",
+    benchmark:
+        "logs/benchmarks/figures/index_page.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        title="Real2Sim calibration of the pelvis-strap interface",
+        phantom=json.dumps(PHANTOM is not None),
+        code=code("index-page"),
+    shell:
+        "python -m real2sim index-page --figures {input.figures:q} --tables {input.tables:q} --title {params.title:q} --phantom {params.phantom} --out {output:q} 2>&1 | tee {log:q}"

@@ -1,0 +1,103 @@
+"""Gates before anything is fitted: what the raw recordings are worth. `snakemake quality` fits nothing.
+
+Inputs:  all raw files of one person.
+Outputs: results/quality/<SUBJECT>/gates.json, <TRIAL>.json and gates.png; results/quality/quality.csv.
+Steps:   figures of every trial; what the trials say together; verdicts; picture; table of the cohort.
+"""
+
+GATE_SETTINGS = json.dumps(
+    {
+        "quality": STUDY["quality"],
+        "ingest": STUDY["ingest"],
+        "scales": STUDY["identification"]["scales"],
+    }
+)
+
+
+rule quality:
+    """The table and one picture per person."""
+    input:
+        "results/quality/quality.csv",
+        expand("results/quality/{subject}/gates.png", subject=PEOPLE),
+
+
+for _name, _person in PEOPLE.items():
+
+    rule:
+        name:
+            f"gates_{_name}"
+        input:
+            raw=[str(_person.folder / "subject.yaml")]
+            + [
+                str(path)
+                for files in _person.trials.values()
+                for path in (files.markers, files.markerless, files.log)
+                if path is not None
+            ],
+        output:
+            gates=f"results/quality/{_name}/gates.json",
+            trials=[f"results/quality/{_name}/{trial}.json" for trial in _person.trials],
+        log:
+            f"logs/quality/{_name}.log",
+        benchmark:
+            f"logs/benchmarks/quality/{_name}.tsv"
+        conda:
+            "../envs/real2sim.yaml"
+        threads: 1
+        resources:
+            mem_mb=800,
+            runtime=20,
+        params:
+            subject=_name,
+            folder=lambda wildcards, input: Path(input.raw[0]).parent,
+            out=lambda wildcards, output: Path(output.gates).parent,
+            settings=GATE_SETTINGS,
+            code=code("quality-subject"),
+        shell:
+            "python -m real2sim quality-subject --subject {params.subject} --folder {params.folder:q} --raw {input.raw:q}"
+            " --settings {params.settings:q} --out {params.out:q} 2>&1 | tee {log:q}"
+
+
+rule quality_figure:
+    """Trials against gates of one person."""
+    input:
+        gates="results/quality/{subject}/gates.json",
+    output:
+        "results/quality/{subject}/gates.png",
+    log:
+        "logs/quality/{subject}_figure.log",
+    benchmark:
+        "logs/benchmarks/quality/{subject}_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("quality-figure"),
+    shell:
+        "python -m real2sim quality-figure --gates {input.gates:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule quality_table:
+    """All gates of all people."""
+    input:
+        gates=expand("results/quality/{subject}/gates.json", subject=PEOPLE),
+    output:
+        "results/quality/quality.csv",
+    log:
+        "logs/quality/table.log",
+    benchmark:
+        "logs/benchmarks/quality/table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        settings=settings_of("quality"),
+        code=code("quality-table"),
+    shell:
+        "python -m real2sim quality-table --gates {input.gates:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"

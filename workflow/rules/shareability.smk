@@ -1,0 +1,113 @@
+"""What people share: ICC, priors and their test on the one left out (paper, section III-C).
+
+Inputs:  all fits of the calibration cohort.
+Outputs: results/shareability/{fits,icc}.csv, results/priors/priors.csv, results/loso/<SUBJECT>.json, loso.csv.
+Steps:   ICC with cluster bootstrap; three-way mapping; priors; leave-one-subject-out replays.
+"""
+
+
+rule shareability:
+    """ICC(1,1) of each parameter with intervals and class."""
+    input:
+        fits=fits_of(CALIBRATION),
+    output:
+        fits="results/shareability/fits.csv",
+        icc="results/shareability/icc.csv",
+    log:
+        "logs/shareability.log",
+    benchmark:
+        "logs/benchmarks/shareability.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        settings=settings_of("statistics"),
+        code=code("shareability"),
+    shell:
+        "python -m real2sim shareability --fits {input.fits:q} --settings {params.settings:q}"
+        " --out-fits {output.fits:q} --out-icc {output.icc:q} 2>&1 | tee {log:q}"
+
+
+rule priors:
+    """Prior and search range of each parameter."""
+    input:
+        fits="results/shareability/fits.csv",
+        icc="results/shareability/icc.csv",
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/priors/priors.csv",
+    log:
+        "logs/priors.log",
+    benchmark:
+        "logs/benchmarks/priors.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        settings=settings_of("statistics"),
+        code=code("priors"),
+    shell:
+        "python -m real2sim priors --fits {input.fits:q} --icc {input.icc:q} --published {input.published:q}"
+        " --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule loso:
+    """The prior of the others, deployed on one person."""
+    input:
+        fits=fits_of(CALIBRATION),
+        poses=lambda wildcards: poses_of(wildcards.subject, "dynamic"),
+        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic"),
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/loso/{subject}.json",
+    log:
+        "logs/loso/{subject}.log",
+    benchmark:
+        "logs/benchmarks/loso/{subject}.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        cohort=CALIBRATION,
+        settings=settings_of("identification", "plant", "robot", "statistics"),
+        code=code("loso"),
+    shell:
+        "python -m real2sim loso --subject {wildcards.subject} --cohort {params.cohort:q} --fits {input.fits:q}"
+        " --poses {input.poses:q} --markers {input.markers:q} --limits {input.limits:q}"
+        " --step {input.step:q} --robot {input.robot:q} --published {input.published:q} --settings {params.settings:q}"
+        " --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule loso_table:
+    """LOSO overhead per person and on average."""
+    input:
+        loso=expand("results/loso/{subject}.json", subject=CALIBRATION),
+    output:
+        "results/loso/loso.csv",
+    log:
+        "logs/loso/table.log",
+    benchmark:
+        "logs/benchmarks/loso/table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        settings=settings_of("statistics"),
+        code=code("loso-table"),
+    shell:
+        "python -m real2sim loso-table --loso {input.loso:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -44,7 +44,11 @@ def _left_jacobian(v: np.ndarray) -> np.ndarray:
 
 
 def pelvis_drive(
-    time_s: np.ndarray, rotation: np.ndarray, position: np.ndarray, timestep: float
+    time_s: np.ndarray,
+    rotation: np.ndarray,
+    position: np.ndarray,
+    timestep: float,
+    frame: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> PelvisDrive:
     """Interpolate a sampled pelvis pose by quintic splines at the plant's steps.
 
@@ -57,6 +61,8 @@ def pelvis_drive(
         cannot stop in a gap. Whoever computes a cost masks them.
     timestep
         Of the plant [s]; steps run from ``time_s[0]`` to ``time_s[-1]``.
+    frame
+        Reference rotation (3, 3) and origin (3,) [m]; the first measured pose without.
 
     Raises
     ------
@@ -65,7 +71,7 @@ def pelvis_drive(
     """
     good = np.isfinite(position).all(axis=1) & np.isfinite(rotation).all(axis=(1, 2))
     first = int(np.argmax(good))
-    reference, origin = rotation[first], position[first]
+    reference, origin = (rotation[first], position[first]) if frame is None else frame
     vectors = Rotation.from_matrix(reference.T @ rotation[good]).as_rotvec()
     largest = np.linalg.norm(vectors, axis=1).max()
     if largest > LARGEST_TURN:

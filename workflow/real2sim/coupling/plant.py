@@ -13,6 +13,7 @@ first-order error, which leaves second order (measured: benchmarks/plant.py).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -168,6 +169,7 @@ def build_plant(
     reference_origin: np.ndarray,
     controller: str = "hold",
     scale: dict[str, float] | None = None,
+    extend: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
     """Compile the plant with neutral strap parameters (set them per simulation, see `replay.Replay`).
 
@@ -185,6 +187,8 @@ def build_plant(
         Frame of the pelvis drive in the world.
     scale
         Factors on inertial constants of the robot by name (`INERTIAL_CONSTANTS`), to see what hangs on them.
+    extend
+        Adds elements to the finished description before it is compiled.
     """
     spec = load_robot(robot)
     _drop_geoms(spec)
@@ -251,6 +255,8 @@ def build_plant(
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             objname=name,
         )
+    if extend is not None:
+        extend(spec)
     try:
         return spec.compile()
     except ValueError as error:

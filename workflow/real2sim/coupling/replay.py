@@ -38,6 +38,8 @@ class Replay:
         Simulations per call, at most.
     scale
         Factors on inertial constants of the robot (`plant.INERTIAL_CONSTANTS`).
+    drive
+        Of the same path and time step, where another replay has made it already.
 
     Attributes
     ----------
@@ -64,13 +66,14 @@ class Replay:
         limits: JointLimits | None,
         nsim: int,
         scale: dict[str, float] | None = None,
+        drive: PelvisDrive | None = None,
     ):
         h = float(plant_settings["timestep_s"])
         sample = float(time_s[1] - time_s[0])
         self.stride = round(sample / h)
         if abs(self.stride * h - sample) > 1e-9:
             raise ValueError(f"plant.timestep_s = {h} does not divide the sample interval {sample}")
-        self.drive: PelvisDrive = pelvis_drive(time_s, pelvis_rotation, pelvis_position, h)
+        self.drive = drive or pelvis_drive(time_s, pelvis_rotation, pelvis_position, h)
         twin = load_robot(robot).compile()
         try:
             start = robot_pose_for(twin, start_rotation, start_position)
@@ -88,12 +91,13 @@ class Replay:
             self.drive.reference_rotation,
             self.drive.reference_origin,
             scale=scale,
+            extend=self._extend,
         )
         self._robot_file = robot
         self.nstep = len(self.drive.position)
-        kp, kd = servo_gains(h)
-        command = self.drive.position + (kd / kp) * self.drive.velocity + (1 / kp) * self.drive.acceleration
-        self._control = np.ascontiguousarray(np.broadcast_to(command, (nsim, *command.shape)))
+        command = np.zeros((self.nstep, self.model.nu))
+        command[:, :6] = servo_command(self.drive)
+        self._control = np.tile(command, (nsim, 1, 1))
         self.nsim = nsim
         self._batch = Batch(self.model, nsim, 1)
         joints = [self.model.joint(name) for name in STRAP_JOINTS]
@@ -108,6 +112,9 @@ class Replay:
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
         self._record = {"sensordata": np.empty((nsim, self.nstep, self.model.nsensordata))}
+
+    def _extend(self, spec: mujoco.MjSpec) -> None:
+        """Elements that the plain plant lacks: none."""
 
     def _initial_state(
         self, start: np.ndarray, start_rotation: np.ndarray, start_position: np.ndarray, rest: RestPose
@@ -186,6 +193,11 @@ class Replay:
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         batch.bind("qpos")[:m] = self._start_state[0]
         batch.bind("qvel")[:m] = self._start_state[1]
+        return self._roll(m)
+
+    def _roll(self, m: int) -> np.ndarray:
+        """Step the first m simulations to the end of the path; sensors (m, nstep, nsensordata)."""
+        batch, ids = self._batch, np.arange(m)
         whole = m == batch.nsim
         record = self._record if whole else {"sensordata": self._record["sensordata"][:m]}
         sensors = batch.rollout(
@@ -198,6 +210,12 @@ class Replay:
         failed = batch.warning[:m].any(axis=tuple(range(1, batch.warning.ndim)))
         sensors[failed] = np.nan
         return sensors
+
+
+def servo_command(drive: PelvisDrive) -> np.ndarray:
+    """Command (nstep, 6) of the pelvis servo: position with velocity and acceleration fed forward."""
+    kp, kd = servo_gains(drive.timestep)
+    return drive.position + (kd / kp) * drive.velocity + (1 / kp) * drive.acceleration
 
 
 def replay_check(replay: Replay, pelvis: np.ndarray) -> dict[str, float]:

@@ -42,6 +42,11 @@ class TrialCost:
         sigma_p and sigma_v of eq. 3.
     usable
         (n,) optional mask of samples whose pelvis is measured.
+
+    Attributes
+    ----------
+    measured
+        (n, 2, 3) as given, 0 where masked.
     """
 
     def __init__(
@@ -54,7 +59,7 @@ class TrialCost:
         valid_rate = valid[2:] & valid[:-2] & valid[1:-1]
         if not valid_rate.any():
             raise ValueError("no sample of the interface markers is usable")
-        self._measured = np.where(valid[:, :, None], measured, 0.0)
+        self.measured = np.where(valid[:, :, None], measured, 0.0)
         self._weight = valid / valid.sum()
         self._weight_rate = valid_rate / valid_rate.sum()
         self._half_rate = rate_hz / 2
@@ -66,7 +71,7 @@ class TrialCost:
 
         Position residuals first, then velocity residuals, each by sample, side and axis. A failed simulation is NaN.
         """
-        error = simulated - self._measured
+        error = simulated - self.measured
         rate = (error[:, 2:] - error[:, :-2]) * self._half_rate
         m = len(simulated)
         error *= np.sqrt(self._weight)[:, :, None] / self.scales.position
@@ -82,12 +87,12 @@ class TrialCost:
 
     def sample_of_residual(self) -> np.ndarray:
         """Sample index (n_r,) of each residual: what is near in time is not independent."""
-        n = len(self._measured)
+        n = len(self.measured)
         return np.concatenate([np.repeat(np.arange(n), 6), np.repeat(np.arange(1, n - 1), 6)])
 
     def __call__(self, simulated: np.ndarray) -> CostTerms:
         """Cost of simulated paths (m, n, 2, 3) [m, world]."""
-        error = simulated - self._measured
+        error = simulated - self.measured
         rate = (error[:, 2:] - error[:, :-2]) * self._half_rate
         position = np.einsum("mscx,mscx,sc->m", error, error, self._weight)
         velocity = np.einsum("mscx,mscx,sc->m", rate, rate, self._weight_rate)

@@ -1,0 +1,1008 @@
+"""Effects that the plain plant leaves out, as declarative entries: what they are and how the simulation gets them.
+
+Each entry of `EFFECTS` names an effect of the sim-to-real gap, its stage, equation, free parameters with units and
+bounds, the effects it is confused with and the trial that would tell them apart. How it acts is one of a few mechanisms
+that MuJoCo has natively (springs with a dead band, polynomials, elasto-plastic springs, LuGre, a hidden joint, fields
+of the model), or a change of the pelvis path that is replayed (input chain) or of the simulated marker paths (output
+chain). Adding an effect is one entry.
+
+Parameters are searched without dimension: an SI value is the searched number times a scale that comes from the trial
+(`Scales`), so that bounds and starts hold for millimetres and for radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfilt
+from scipy.spatial.transform import Rotation
+
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS
+from real2sim.geometry import AXES
+
+TRANSLATIONAL = AXES[:3]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the effects' parameters are measured in, for one person.
+
+    ``q``, ``v`` (6,) are large excursions and rates of the interface [m, rad; m/s, rad/s], ``k``, ``d`` (6,) stiffness
+    and damping of the plain fit, ``inertia`` (6,) what the robot puts against each strap axis [kg, kg m^2], ``step``
+    [s] of the plant.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    k: np.ndarray
+    d: np.ndarray
+    inertia: np.ndarray
+    step: float
+
+    @property
+    def force(self) -> np.ndarray:
+        """Strap force in a large excursion (6,) [N, Nm]."""
+        return self.k * self.q + self.d * self.v
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One free parameter: searched between ``lower`` and ``upper`` (in units of ``scale``), from each of ``starts``.
+
+    ``log`` searches the logarithm. ``scale`` maps scales and axis index to the SI value of 1; ``unit`` is the unit for
+    a translation, with the one for a rotation after a bar where it differs. ``prior_sd`` (of the searched number)
+    holds linear nuisance-like parameters near 0.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    starts: tuple[float, ...]
+    scale: Callable[[Scales, int], float] = lambda scales, axis: 1.0
+    log: bool = False
+    prior_sd: float | None = None
+
+    def unit_for(self, axis: str | None) -> str:
+        """Unit for an axis of the interface; None where the effect has none."""
+        both = self.unit.split("|")
+        return both[-1] if axis is not None and axis not in TRANSLATIONAL else both[0]
+
+
+class Mechanism(Protocol):
+    """How an effect of the plant is compiled into it and set per simulation."""
+
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
+        """Add elements to the plant, neutral or not."""
+
+    def set(self, fields: Fields, where: Where, parameters: np.ndarray, values: np.ndarray) -> None:
+        """Write values (m, p) [SI] and what follows from the strap parameters (m, 12) into the fields."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where an effect acts: axis indices, a side (+1, -1, or 0 for none) and a variant of its form."""
+
+    axes: tuple[int, ...] = ()
+    side: int = 0
+    variant: str = ""
+
+    @property
+    def tag(self) -> str:
+        """Suffix for the names of what is built there."""
+        side = {1: "_upper", -1: "_lower", 0: ""}[self.side]
+        return "_".join(AXES[a] for a in self.axes) + side + self.variant
+
+
+class Fields:
+    """Fields of the plant's batch, expanded per simulation when they are first asked for."""
+
+    def __init__(self, batch, model: mujoco.MjModel, m: int, scales: Scales):
+        self._batch, self.model, self.m, self.scales = batch, model, m, scales
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._batch.expand(name)[: self.m]
+
+    def joint(self, axis: int) -> int:
+        """Joint index of a strap axis."""
+        return self.model.joint(STRAP_JOINTS[axis]).id
+
+    def dof(self, axis: int) -> int:
+        """Degree of freedom of a strap axis."""
+        return int(self.model.joint(STRAP_JOINTS[axis]).dofadr[0])
+
+    def tendon(self, name: str) -> int:
+        """Index of a tendon."""
+        return self.model.tendon(name).id
+
+
+def _tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes) -> None:
+    tendon = spec.add_tendon(name=name, **attributes)
+    for joint, coefficient in joints.items():
+        tendon.wrap_joint(joint, coefficient)
+
+
+_FAR = 10.0  # a dead band's end that is never reached [m, rad]
+
+
+class SplitSpring:
+    """The axis' spring replaced by two one-way springs: one pulls below ``low``, one above ``high``.
+
+    ``shape`` maps values (m, p) to (low, high, factor of the lower, factor of the upper stiffness), each (m,).
+    """
+
+    def __init__(self, shape: Callable[[np.ndarray, Where], tuple]):
+        self._shape = shape
+
+    def build(self, spec, where):
+        """Two fixed tendons over the strap joint."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        for half in ("below", "above"):
+            _tendon(
+                spec, f"{half}_{where.tag}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
+            )
+
+    def set(self, fields, where, parameters, values):
+        """Dead bands and stiffness of both tendons; the joint's own spring is off."""
+        axis = where.axes[0]
+        low, high, lower, upper = self._shape(values, where)
+        below, above = fields.tendon(f"below_{where.tag}"), fields.tendon(f"above_{where.tag}")
+        fields["jnt_stiffness"][:, fields.joint(axis)] = 0
+        fields["tendon_lengthspring"][:, below, 0], fields["tendon_lengthspring"][:, below, 1] = low, _FAR
+        fields["tendon_lengthspring"][:, above, 0], fields["tendon_lengthspring"][:, above, 1] = -_FAR, high
+        fields["tendon_stiffness"][:, below] = lower * parameters[:, axis]
+        fields["tendon_stiffness"][:, above] = upper * parameters[:, axis]
+
+
+class Polynomial:
+    """Higher terms of the axis' spring or damper: ``field`` and which of its two coefficients."""
+
+    def __init__(self, name: str, term: int):
+        self._name, self._term = name, term
+
+    def build(self, spec, where):
+        """Nothing: every joint has them."""
+
+    def set(self, fields, where, parameters, values):
+        """Write the coefficient."""
+        axis = where.axes[0]
+        index = fields.joint(axis) if self._name.startswith("jnt") else fields.dof(axis)
+        fields[self._name][:, index, self._term] = values[:, 0]
+
+
+class Elastoplastic:
+    """A spring in parallel that yields: values are yield force and yield deflection, (m, 2)."""
+
+    def build(self, spec, where):
+        """A tendon with a yield."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        _tendon(
+            spec,
+            f"yield_{where.tag}",
+            {joint: 1.0},
+            stiffness=[1, 0, 0],
+            springlength=[0, 0],
+            springyield=0.01,
+        )
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness so that it yields at the force; never stiffer than the time step bears."""
+        axis, scales = where.axes[0], fields.scales
+        index = fields.tendon(f"yield_{where.tag}")
+        stiffest = 0.5 * scales.inertia[axis] / scales.step**2
+        deflection = np.maximum(values[:, 1], np.abs(values[:, 0]) / stiffest)
+        fields["tendon_springyield"][:, index] = deflection
+        fields["tendon_stiffness"][:, index] = values[:, 0] / deflection
+
+
+class YieldingSpring:
+    """The axis' own spring yields at a deflection (m, 1), and its rest pose stays where it was pulled to."""
+
+    def build(self, spec, where):
+        """The same tendon as `Elastoplastic`, as heir of the joint's spring."""
+        Elastoplastic().build(spec, where)
+
+    def set(self, fields, where, parameters, values):
+        """Hand the stiffness over to the tendon."""
+        axis = where.axes[0]
+        index = fields.tendon(f"yield_{where.tag}")
+        fields["jnt_stiffness"][:, fields.joint(axis)] = 0
+        fields["tendon_stiffness"][:, index] = parameters[:, axis]
+        fields["tendon_springyield"][:, index] = values[:, 0]
+
+
+class Bristles:
+    """LuGre friction of MuJoCo's motor model: values are Coulomb force, static excess, deflection, Stribeck rate.
+
+    Source: Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995) 419.
+    """
+
+    def build(self, spec, where):
+        """A passive motor without an electrical side."""
+        actuator = spec.add_actuator(
+            name=f"bristles_{where.tag}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=STRAP_JOINTS[where.axes[0]],
+        )
+        # the compiled form of <dcmotor input="none" motorconst="0" resistance="1" lugre="...">, which the interface for
+        # descriptions refuses to write because it wants a motor constant
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_DCMOTOR
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_DCMOTOR
+        actuator.biastype = mujoco.mjtBias.mjBIAS_DCMOTOR
+        actuator.gainprm = [1] + [0] * 9
+        actuator.biasprm = [0, 0, 0, 0.001, 0.001, 0.01, 0, 0, 0, 0]
+        actuator.dynprm = [0, 0, 0, 0, 0, 1, 0.1, 0, 0, 0]
+        actuator.ctrlspec, actuator.actdim, actuator.actearly = 0, 1, True
+
+    def set(self, fields, where, parameters, values):
+        """Bristle stiffness so that it slips at the deflection, bristles damped half critically for the step."""
+        axis, scales = where.axes[0], fields.scales
+        index = fields.model.actuator(f"bristles_{where.tag}").id
+        force, excess, deflection, rate = values.T
+        stiffness = np.minimum(np.abs(force) / deflection, 0.5 * scales.inertia[axis] / scales.step**2)
+        fields["actuator_dynprm"][:, index, 5] = stiffness
+        fields["actuator_dynprm"][:, index, 6] = 0
+        fields["actuator_biasprm"][:, index, 3] = force
+        fields["actuator_biasprm"][:, index, 4] = force * (1 + excess)
+        fields["actuator_biasprm"][:, index, 5] = rate
+
+
+class Maxwell:
+    """A spring and a damper in series beside the axis' own: values are stiffness and time constant, (m, 2).
+
+    The point between the two is a hidden slide in the world, tied to the strap joint by a tendon.
+    """
+
+    def build(self, spec, where):
+        """Hidden slide and tendon."""
+        name = f"maxwell_{where.tag}"
+        body = spec.worldbody.add_body(
+            name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
+        )
+        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
+        joints = {STRAP_JOINTS[where.axes[0]]: 1.0, name: -1.0}
+        _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness, damping, and an inertia that the step bears and nobody notices."""
+        name = f"maxwell_{where.tag}"
+        dof = int(fields.model.joint(name).dofadr[0])
+        stiffness, damping = values[:, 0], values[:, 0] * values[:, 1]
+        fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
+        fields["dof_damping"][:, dof] = damping
+        fields["dof_armature"][:, dof] = 0.02 * np.abs(damping) * fields.scales.step
+
+
+class Coupling:
+    """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone.
+
+    Two tendons over the sum and the difference of the (scaled) coordinates, with opposite signs: their diagonal terms
+    cancel, the product term is left.
+    """
+
+    def __init__(self, name: str):
+        self._field = name
+
+    def build(self, spec, where):
+        """Both tendons."""
+        a, b = (STRAP_JOINTS[i] for i in where.axes)
+        for sign, name in ((1.0, "sum"), (-1.0, "difference")):
+            _tendon(spec, f"{name}_{where.tag}", {a: 1.0, b: sign}, stiffness=[1, 0, 0], springlength=[0, 0])
+
+    def set(self, fields, where, parameters, values):
+        """Half the value on each, with opposite signs."""
+        for sign, name in ((1, "sum"), (-1, "difference")):
+            index = fields.tendon(f"{name}_{where.tag}")
+            fields["tendon_stiffness"][:, index] = 0
+            fields[self._field][:, index] = sign * values[:, 0] / 2
+
+
+class TurnedAxes:
+    """All strap axes turned by a rotation vector, values (m, 3) [rad]."""
+
+    def build(self, spec, where):
+        """Nothing: axes are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """Turn the axis of each joint."""
+        turn = Rotation.from_rotvec(values).as_matrix()
+        for axis in range(6):
+            joint = fields.joint(axis)
+            fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
+
+
+class RestShift:
+    """The axis' spring rests elsewhere: value (m, 1)."""
+
+    def build(self, spec, where):
+        """Nothing: the rest pose is a field."""
+
+    def set(self, fields, where, parameters, values):
+        """Spring reference of the joint."""
+        joint = fields.model.joint(STRAP_JOINTS[where.axes[0]])
+        fields["qpos_spring"][:, joint.qposadr[0]] = values[:, 0]
+
+
+class Stop:
+    """A stiff one-way spring beyond a coordinate, values are place and stiffness (m, 2)."""
+
+    def build(self, spec, where):
+        """One tendon."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        _tendon(spec, f"stop_{where.tag}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """Its free side is the dead band."""
+        index, axis = fields.tendon(f"stop_{where.tag}"), where.axes[0]
+        end = 1 if where.side > 0 else 0
+        fields["tendon_lengthspring"][:, index, end] = where.side * values[:, 0]
+        stiffest = 0.5 * fields.scales.inertia[axis] / fields.scales.step**2
+        fields["tendon_stiffness"][:, index] = np.minimum(values[:, 1], stiffest)
+
+
+class InterfaceMass:
+    """Mass and isotropic inertia that the twin's interface body lacks, values (m, 2) [kg, kg m^2]."""
+
+    def build(self, spec, where):
+        """Nothing: mass is a field."""
+
+    def set(self, fields, where, parameters, values):
+        """Add to the body."""
+        body = fields.model.body("interface").id
+        fields["body_mass"][:, body] = fields.model.body_mass[body] + values[:, 0]
+        fields["body_inertia"][:, body] = fields.model.body_inertia[body] + values[:, 1:2]
+
+
+class RobotImpedance:
+    """Other impedance of the robot's joints than configured: ln-factors on stiffness and damping of some joints."""
+
+    def __init__(self, joints: tuple[str, ...]):
+        self._joints = joints
+
+    def build(self, spec, where):
+        """Nothing: impedances are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """Scale, with the step's centring of the damping."""
+        factor, h = np.exp(values), fields.scales.step
+        for column, name in enumerate(self._joints):
+            joint = fields.model.joint(name)
+            dof, base = int(joint.dofadr[0]), fields.model.dof_damping[joint.dofadr[0]]
+            fields["jnt_stiffness"][:, joint.id] = (
+                fields.model.jnt_stiffness[joint.id] * factor[:, 2 * column]
+            )
+            damping = base * factor[:, 2 * column + 1]
+            fields["dof_damping"][:, dof] = damping
+            fields["dof_armature"][:, dof] = fields.model.dof_armature[dof] + (base - damping) * h / 2
+
+
+class BaseForce:
+    """Forces on the robot's base, by three motors; ``force`` maps values and context to (m, steps, 3) [N, N, Nm]."""
+
+    def __init__(self, force: Callable[[np.ndarray, Context], np.ndarray]):
+        self.force = force
+
+    def build(self, spec, where):
+        """Motors on the base joints."""
+        for name in ROBOT_JOINTS[:3]:
+            actuator = spec.add_actuator(name=f"force_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+            actuator.set_to_motor()
+
+    def set(self, fields, where, parameters, values):
+        """Nothing: forces are controls."""
+
+
+@dataclass
+class Context:
+    """What the chains and forces of a trial are computed from.
+
+    ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
+    (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``base_reaction`` (n, 3) [N, N, Nm] what the strap of the plain
+    fit does to the base; ``start`` sample index up to which the person stands; ``robot_mass`` [kg]; ``measured``
+    (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump.
+    """
+
+    time_s: np.ndarray
+    step_time_s: np.ndarray
+    pelvis_rotation: np.ndarray
+    pelvis_position: np.ndarray
+    interface_rotation: np.ndarray
+    base_reaction: np.ndarray
+    start: int
+    robot_mass: float
+    measured: np.ndarray
+    spikes: np.ndarray
+
+
+# ---------------------------------------------------------------- input and output chain
+
+
+def _turned_motion(values, context):
+    # the motion seen in a frame turned about the vertical, from the same start
+    turn = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
+    start, where = context.pelvis_rotation[0], context.pelvis_position[0]
+    position = where + (context.pelvis_position - where) @ turn.T
+    rotation = turn @ context.pelvis_rotation @ start.T @ turn.T @ start
+    return rotation, position
+
+
+def _earlier_pelvis(values, context):
+    # the measured pelvis is late: it was there already
+    t = np.clip(context.time_s + values[0], context.time_s[0], context.time_s[-1])
+    position = CubicSpline(context.time_s, context.pelvis_position)(t)
+    vectors = Rotation.from_matrix(context.pelvis_rotation[0].T @ context.pelvis_rotation).as_rotvec()
+    return (
+        context.pelvis_rotation[0]
+        @ Rotation.from_rotvec(CubicSpline(context.time_s, vectors)(t)).as_matrix(),
+        position,
+    )
+
+
+def _soft_tissue(values, context):
+    # skin moves over bone in proportion to how far the pelvis has turned: translation and rotation artefact
+    start = context.pelvis_rotation[0]
+    turn = Rotation.from_matrix(start.T @ context.pelvis_rotation).as_rotvec()
+    moved = turn @ values[:9].reshape(3, 3).T
+    spun = turn @ values[9:].reshape(3, 3).T
+    rotation = context.pelvis_rotation @ Rotation.from_rotvec(-spun).as_matrix()
+    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", context.pelvis_rotation, moved)
+
+
+def _at_times(paths, time_s, wanted):
+    # paths (m, n, 2, 3) at other times: what lies outside stays at the end
+    clipped = np.clip(wanted, time_s[0], time_s[-1])
+    out = np.empty_like(paths)
+    for i in range(len(paths)):
+        out[i] = CubicSpline(time_s, paths[i])(clipped[i])
+    return out
+
+
+def _late_markers(paths, values, context):
+    return _at_times(paths, context.time_s, context.time_s[None] - values[:, :1])
+
+
+def _drifting_clock(paths, values, context):
+    t = context.time_s - context.time_s[0]
+    return _at_times(paths, context.time_s, context.time_s[0] + t[None] * (1 + values[:, :1]))
+
+
+def _filtered_markers(paths, values, context):
+    rate = 1 / (context.time_s[1] - context.time_s[0])
+    out = np.empty_like(paths)
+    for i, cutoff in enumerate(values[:, 0]):
+        sos = butter(2, cutoff, fs=rate, output="sos")
+        start = paths[i, :1]
+        out[i] = start + sosfilt(sos, paths[i] - start, axis=0)
+    return out
+
+
+def _off_site(paths, values, context):
+    # the start pose was taken from the same markers, so only what turns with the interface is seen
+    turn = context.interface_rotation - context.interface_rotation[0]
+    shift = np.einsum("nij,msj->mnsi", turn, values.reshape(-1, 2, 3))
+    return paths + shift
+
+
+def _drifting_marker(side: int):
+    def drift(paths, values, context):
+        out = paths.copy()
+        t = context.time_s - context.time_s[0]
+        out[:, :, side] += t[None, :, None] * values[:, None, :]
+        return out
+
+    return drift
+
+
+def _without_spikes(paths, values, context):
+    # what is no marker says nothing about the model
+    out = paths.copy()
+    out[:, context.spikes] = context.measured[context.spikes]
+    return out
+
+
+# ---------------------------------------------------------------- forces on the base
+
+
+def _tilt(values, context):
+    force = np.zeros((len(values), len(context.step_time_s), 3))
+    force[:, :, :2] = (9.81 * context.robot_mass * values)[:, None, :]
+    return force
+
+
+def _reaction(values, context):
+    out = np.empty((len(values), len(context.step_time_s), 3))
+    for i, (gain, delay) in enumerate(values):
+        t = context.step_time_s - delay
+        for c in range(3):
+            out[i, :, c] = gain * np.interp(t, context.time_s, context.base_reaction[:, c])
+    return out
+
+
+# ---------------------------------------------------------------- the catalogue
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One entry of the catalogue; exactly one of ``plant``, ``input_chain`` and ``output_chain`` says how it acts.
+
+    ``scope`` is "axis", "side" (axis and direction), "pair" (of axes) or "whole"; ``forms`` names variants with
+    other equations for the same name. ``input_chain`` maps values (p,) and context to a pelvis path; ``output_chain``
+    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths.
+    """
+
+    name: str
+    stage: str
+    equation: str
+    parameters: tuple[EffectParameter, ...]
+    group: str
+    separating_trial: str
+    scope: str = "axis"
+    plant: Mechanism | None = None
+    input_chain: Callable[[np.ndarray, Context], tuple[np.ndarray, np.ndarray]] | None = None
+    output_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
+    form: str = ""
+    replaces_spring: bool = False
+
+    def places(self) -> list[Where]:
+        """Everywhere that it can act."""
+        if self.scope == "axis":
+            return [Where((axis,), variant=self.form) for axis in range(6)]
+        if self.scope == "side":
+            return [Where((axis,), side, self.form) for axis in range(6) for side in (1, -1)]
+        if self.scope == "pair":
+            return [Where(pair, variant=self.form) for pair in combinations(range(6), 2)]
+        return [Where(variant=self.form)]
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An effect at a place, with what turns searched numbers into SI values."""
+
+    effect: Effect
+    where: Where
+    scales: Scales = field(repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of effect and place: ``slack ty``."""
+        return f"{self.effect.name} {self.where.tag}".strip()
+
+    @property
+    def axes(self) -> list[str]:
+        """Axes it acts on."""
+        return [AXES[a] for a in self.where.axes]
+
+    def _scale(self) -> np.ndarray:
+        axis = self.where.axes[0] if self.where.axes else 0
+        if len(self.where.axes) == 2:
+            a, b = self.where.axes
+            return np.array(
+                [
+                    np.sqrt(abs(p.scale(self.scales, a) * p.scale(self.scales, b)))
+                    for p in self.effect.parameters
+                ]
+            )
+        return np.array([p.scale(self.scales, axis) for p in self.effect.parameters])
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """SI values (m, p) of searched numbers (m, p)."""
+        log = np.array([p.log for p in self.effect.parameters], dtype=bool)
+        return np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale()
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds (p,) of the searched numbers."""
+        pairs = [
+            (np.log(p.lower), np.log(p.upper)) if p.log else (p.lower, p.upper)
+            for p in self.effect.parameters
+        ]
+        lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
+        return lower, upper
+
+    def starts(self) -> np.ndarray:
+        """Starting points (s, p) of the searched numbers."""
+        count = max((len(p.starts) for p in self.effect.parameters), default=1)
+        rows = [
+            [
+                np.log(p.starts[min(i, len(p.starts) - 1)]) if p.log else p.starts[min(i, len(p.starts) - 1)]
+                for p in self.effect.parameters
+            ]
+            for i in range(count)
+        ]
+        return np.array(rows, dtype=float)
+
+    def prior_sd(self) -> np.ndarray:
+        """Prior SD (p,) of the searched numbers, infinite for none."""
+        return np.array([p.prior_sd or np.inf for p in self.effect.parameters])
+
+    def named(self, x: np.ndarray) -> dict[str, tuple[float, str]]:
+        """SI values by name, with their units, of one set of searched numbers (p,)."""
+        axis = AXES[self.where.axes[0]] if self.where.axes else None
+        out = {}
+        for parameter, value in zip(self.effect.parameters, self.values(x[None])[0], strict=True):
+            place = f"_{self.where.tag}" if self.where.axes else ""
+            unit = parameter.unit_for(axis)
+            suffix = (
+                "" if unit == "1" else "_" + unit.replace("/", "_per_").replace("^", "").replace(" ", "_")
+            )
+            out[f"{parameter.name}{place}{suffix}"] = (float(value), unit)
+        return out
+
+
+def _q(scales: Scales, axis: int) -> float:
+    return float(scales.q[axis])
+
+
+def _force(scales: Scales, axis: int) -> float:
+    return float(scales.force[axis])
+
+
+def _k(scales: Scales, axis: int) -> float:
+    return float(scales.k[axis])
+
+
+def _d(scales: Scales, axis: int) -> float:
+    return float(scales.d[axis])
+
+
+def _linear(name: str, unit: str, sd: float, bound: float) -> EffectParameter:
+    return EffectParameter(name, unit, -bound, bound, (0.0,), prior_sd=sd)
+
+
+_LADDER = "one motion at three amplitudes, from smaller than the slack upward"
+_SPEEDS = "the same amplitude at three speeds"
+_HOLDS = "steps with holds of 5-10 s"
+_JERK = "one sharp jerk at the start and at the end, seen by all systems"
+_STAND = "quiet standing at three headings before and after"
+_SINGLE = "motions along one axis at a time"
+_MASS = "the same motion with a plate of known mass on the interface"
+
+_FRICTION = EffectParameter("force", "N|Nm", 0.002, 2.0, (0.05, 0.3), _force, log=True)
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "slack",
+        "interface",
+        "F = k sgn(q) max(|q| - w, 0)",
+        (EffectParameter("half_width", "m|rad", 0.01, 1.2, (0.15, 0.5), _q, log=True),),
+        "A",
+        _LADDER,
+        plant=SplitSpring(lambda v, where: (-v[:, 0], v[:, 0], 1.0, 1.0)),
+        replaces_spring=True,
+    ),
+    Effect(
+        "one_sided",
+        "interface",
+        "F = -k max(q - q0, 0), or its mirror image",
+        (EffectParameter("engages_at", "m|rad", -1.0, 1.0, (-0.3, 0.1), _q),),
+        "S",
+        _LADDER,
+        scope="side",
+        plant=SplitSpring(
+            lambda v, where: (
+                (np.full(len(v), -_FAR), v[:, 0], 0.0, 1.0)
+                if where.side > 0
+                else (-v[:, 0], np.full(len(v), _FAR), 1.0, 0.0)
+            )
+        ),
+        replaces_spring=True,
+    ),
+    Effect(
+        "stiffening",
+        "interface",
+        "F = k q + c q^3",
+        (
+            EffectParameter(
+                "cubic", "N/m3|Nm/rad3", 0.0, 30.0, (0.5, 3.0), lambda s, i: float(s.k[i] / s.q[i] ** 2)
+            ),
+        ),
+        "A",
+        _LADDER,
+        plant=Polynomial("jnt_stiffnesspoly", 1),
+    ),
+    Effect(
+        "asymmetric_stiffness",
+        "interface",
+        "F = k (1 + b sgn(q)) q",
+        (EffectParameter("asymmetry", "1", -0.97, 0.97, (-0.4, 0.4)),),
+        "asymmetry",
+        _LADDER,
+        plant=SplitSpring(lambda v, where: (0.0 * v[:, 0], 0.0 * v[:, 0], 1 - v[:, 0], 1 + v[:, 0])),
+        replaces_spring=True,
+    ),
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc sgn(qdot)",
+        (
+            _FRICTION,
+            EffectParameter("deflection", "m|rad", 0.0099, 0.0101, (0.01,), _q, log=True),
+        ),
+        "friction",
+        "slow ramps and reversals at several speeds",
+        plant=Elastoplastic(),
+    ),
+    Effect(
+        "lugre",
+        "interface",
+        "F = s0 z, zdot = v - s0 |v| z / (Fc + (Fs - Fc) exp(-(v/vs)^2))",
+        (
+            _FRICTION,
+            EffectParameter("static_excess", "1", 0.05, 2.0, (0.5,)),
+            EffectParameter("deflection", "m|rad", 0.005, 0.2, (0.03,), _q, log=True),
+            EffectParameter(
+                "stribeck_rate", "m/s|rad/s", 0.01, 1.0, (0.1,), lambda s, i: float(s.v[i]), log=True
+            ),
+        ),
+        "friction",
+        "sub-millimetre reversals and a ladder of speeds",
+        plant=Bristles(),
+    ),
+    Effect(
+        "hysteresis",
+        "interface",
+        "an elasto-plastic spring beside the strap's own (Maxwell slip)",
+        (
+            _FRICTION,
+            EffectParameter("deflection", "m|rad", 0.06, 2.0, (0.2, 0.6), _q, log=True),
+        ),
+        "V",
+        "the same amplitude at 0.1, 1 and 4 Hz",
+        plant=Elastoplastic(),
+    ),
+    Effect(
+        "relaxation",
+        "interface",
+        "F1' = k1 qdot - F1 / tau beside the strap's own spring",
+        (
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 30.0, (0.5, 3.0), _k, log=True),
+            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), log=True),
+        ),
+        "V",
+        _HOLDS,
+        plant=Maxwell(),
+    ),
+    Effect(
+        "creep",
+        "interface",
+        "as relaxation, with a time constant of many seconds",
+        (
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 10.0, (0.5,), _k, log=True),
+            EffectParameter("time_constant", "s", 2.5, 60.0, (6.0,), log=True),
+        ),
+        "Dft",
+        "reload after a rest",
+        plant=Maxwell(),
+    ),
+    Effect(
+        "migration",
+        "interface",
+        "the rest pose follows where the strap is pulled beyond a deflection, and stays there",
+        (EffectParameter("deflection", "m|rad", 0.1, 1.3, (0.8, 0.5), _q, log=True),),
+        "Dft",
+        _STAND,
+        plant=YieldingSpring(),
+        replaces_spring=True,
+    ),
+    Effect(
+        "cross_coupling",
+        "interface",
+        "F_i = K_ij q_j, F_j = K_ij q_i",
+        (EffectParameter("stiffness", "SI", -0.9, 0.9, (-0.15, 0.15), _k),),
+        "F",
+        _SINGLE,
+        scope="pair",
+        plant=Coupling("tendon_stiffness"),
+        form="_elastic",
+    ),
+    Effect(
+        "cross_coupling",
+        "interface",
+        "F_i = D_ij qdot_j, F_j = D_ij qdot_i",
+        (EffectParameter("damping", "SI", -0.9, 0.9, (-0.15, 0.15), _d),),
+        "F",
+        _SINGLE,
+        scope="pair",
+        plant=Coupling("tendon_damping"),
+        form="_viscous",
+    ),
+    Effect(
+        "misalignment",
+        "interface",
+        "interface axes turned by a rotation vector",
+        tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz"),
+        "F",
+        _SINGLE,
+        scope="whole",
+        plant=TurnedAxes(),
+    ),
+    Effect(
+        "preload",
+        "interface",
+        "F = k (q - q0)",
+        (EffectParameter("rest_shift", "m|rad", -2.0, 2.0, (-0.2, 0.2), _q),),
+        "S",
+        _STAND,
+        plant=RestShift(),
+    ),
+    Effect(
+        "joint_limit",
+        "interface",
+        "a stop inside the range that the limits allow",
+        (
+            EffectParameter("place", "m|rad", 0.2, 1.2, (0.6, 0.85), _q, log=True),
+            EffectParameter("stiffness", "N/m|Nm/rad", 1.0, 200.0, (8.0,), _k, log=True),
+        ),
+        "A",
+        "a slow ramp into the stop",
+        scope="side",
+        plant=Stop(),
+    ),
+    Effect(
+        "quadratic_damping",
+        "interface",
+        "F = d qdot + d2 qdot |qdot|",
+        (
+            EffectParameter(
+                "quadratic", "Ns2/m2|Nms2/rad2", 0.0, 30.0, (0.5, 3.0), lambda s, i: float(s.d[i] / s.v[i])
+            ),
+        ),
+        "V",
+        _SPEEDS,
+        plant=Polynomial("dof_dampingpoly", 0),
+    ),
+    Effect(
+        "added_mass",
+        "robot",
+        "the interface is heavier than the twin's",
+        (
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
+        ),
+        "M",
+        _MASS,
+        scope="whole",
+        plant=InterfaceMass(),
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "the base yields other than configured",
+        tuple(
+            EffectParameter(f"ln_{what}_{axis}", "1", -3.0, 3.0, (-0.3,), prior_sd=1.0)
+            for axis in ("x", "y", "yaw")
+            for what in ("stiffness", "damping")
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=RobotImpedance(ROBOT_JOINTS[:3]),
+    ),
+    Effect(
+        "controller_reaction",
+        "robot",
+        "F_base = g F_interaction(t - T)",
+        (
+            EffectParameter("gain", "1", -1.5, 4.0, (-0.3, 0.3)),
+            EffectParameter("delay", "s", 0.0, 0.5, (0.1,)),
+        ),
+        "M",
+        "the same motion with the controller off",
+        scope="whole",
+        plant=BaseForce(_reaction),
+    ),
+    Effect(
+        "tilt",
+        "robot",
+        "gravity has a component along the floor",
+        tuple(EffectParameter(f"slope_{axis}", "rad", -0.1, 0.1, (0.003,)) for axis in "xy"),
+        "S",
+        "turning in place",
+        scope="whole",
+        plant=BaseForce(_tilt),
+    ),
+    Effect(
+        "soft_tissue",
+        "input",
+        "pelvis markers move over the bone in proportion to the pelvis' rotation",
+        (
+            *(_linear(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
+            *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 0.8) for a in "xyz" for b in "xyz"),
+        ),
+        "V",
+        "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
+        scope="whole",
+        input_chain=_soft_tissue,
+    ),
+    Effect(
+        "lab_yaw",
+        "input",
+        "pelvis and interface are seen in frames turned about the vertical",
+        (EffectParameter("yaw", "rad", -0.35, 0.35, (0.03,)),),
+        "F",
+        "a static wand seen by both systems",
+        scope="whole",
+        input_chain=_turned_motion,
+    ),
+    Effect(
+        "replay_lag",
+        "input",
+        "the pelvis is late by tau",
+        (EffectParameter("lag", "s", -0.1, 0.1, (0.01,)),),
+        "T",
+        _JERK,
+        scope="whole",
+        input_chain=_earlier_pelvis,
+    ),
+    Effect(
+        "sync_offset",
+        "output",
+        "y(t - tau)",
+        (EffectParameter("offset", "s", -0.25, 0.25, (0.01,)),),
+        "T",
+        _JERK,
+        scope="whole",
+        output_chain=_late_markers,
+    ),
+    Effect(
+        "clock_drift",
+        "output",
+        "y((1 + eps) t)",
+        (EffectParameter("drift", "1", -0.02, 0.02, (0.001,)),),
+        "T",
+        _JERK,
+        scope="whole",
+        output_chain=_drifting_clock,
+    ),
+    Effect(
+        "filter_lag",
+        "output",
+        "y low-passed by a causal filter of second order",
+        (EffectParameter("cutoff", "Hz", 0.5, 20.0, (6.0,), log=True),),
+        "T",
+        "fast content near the filter's cut-off",
+        scope="whole",
+        output_chain=_filtered_markers,
+    ),
+    Effect(
+        "marker_offset",
+        "output",
+        "a marker sits off the joint centre, fixed in the interface",
+        tuple(_linear(f"{side}_{c}", "m", 0.03, 0.15) for side in ("left", "right") for c in "xyz"),
+        "S",
+        "static poses at several headings",
+        scope="whole",
+        output_chain=_off_site,
+    ),
+    *(
+        Effect(
+            "marker_drift",
+            "output",
+            f"a ramp in the {side} interface marker",
+            tuple(_linear(f"{side}_{c}", "m/s", 0.005, 0.05) for c in "xyz"),
+            "Dft",
+            "distance between markers at the start and at the end",
+            scope="whole",
+            output_chain=_drifting_marker(index),
+            form=f"{side}",
+        )
+        for index, side in enumerate(("left", "right"))
+    ),
+    Effect(
+        "outliers",
+        "output",
+        "isolated samples of a marker are not the marker",
+        (),
+        "quality",
+        "the same trial, labelled again",
+        scope="whole",
+        output_chain=_without_spikes,
+    ),
+)
+
+EFFECT_NAMES = tuple(dict.fromkeys(effect.name for effect in EFFECTS))

@@ -1,0 +1,258 @@
+"""Which effect explains the gap: screening on the tangent, joint refits on one trial, judgement on the other.
+
+Refitting the 12 parameters swallows most of the gap of many effects, so an effect is judged by a joint refit (12 + its
+own parameters) and by what it predicts for a trial of another regime, never by the plain residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from real2sim.coupling.effects import EFFECTS, Placed, Scales
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
+from real2sim.identification import least_squares
+from real2sim.identification.parameters import Bounds
+
+# Longest step in ln or searched numbers that the screening believes
+LONGEST_STEP = 1.5
+
+
+@dataclass
+class Pair:
+    """Training and held-out trial of one person, whitened, with common scales."""
+
+    train: Evidence
+    held_out: Evidence
+    bounds: Bounds
+
+
+@dataclass
+class Screened:
+    """A hypothesis before its refit: predicted cost on the training trial and where to start.
+
+    ``change`` (n_r,) is what its starting value does to the residuals, ``own`` (n_r, p) the tangent of its parameters
+    and ``own_start`` (p,) where that tangent holds.
+    """
+
+    effects: tuple[Placed, ...]
+    predicted: float
+    start: np.ndarray
+    change: np.ndarray
+    own: np.ndarray
+    own_start: np.ndarray
+
+
+@dataclass
+class Attribution:
+    """What the search found: the plain fit, every refitted hypothesis, best first, and the whole screening.
+
+    ``samples`` are the numbers of whitened residuals of the two trials.
+    """
+
+    plain: Hypothesis
+    hypotheses: list[Hypothesis]
+    screened: list[tuple[str, float]]
+    samples: tuple[int, int]
+    evaluations: int = 0
+    stages: dict[str, float] = field(default_factory=dict)
+
+
+def candidates(scales: Scales, names: Iterable[str] | None = None) -> list[Placed]:
+    """Every effect of the catalogue (or those named) at every place."""
+    wanted = None if names is None else set(names)
+    return [
+        Placed(effect, where, scales)
+        for effect in EFFECTS
+        if wanted is None or effect.name in wanted
+        for where in effect.places()
+    ]
+
+
+def plain_fit(evidence: Evidence, bounds: Bounds, start: np.ndarray, settings: dict) -> np.ndarray:
+    """ln-parameters (12,) of the plain plant by J of the paper: from ``start`` and from log-uniform points."""
+    replay = evidence.replay([], BATCH)
+
+    def residuals(parameters: np.ndarray) -> np.ndarray:
+        return evidence.cost.residuals(replay.run_effects(parameters, [])[0])
+
+    problem = least_squares.Residuals(residuals, bounds, BATCH)
+    rng = np.random.default_rng(settings["seed"])
+    points = np.array([start, *(bounds.log_uniform(rng) for _ in range(settings["screen"]))])
+    costs = problem.costs(points)
+    best, lowest = points[0], np.inf
+    for point in points[np.argsort(costs)[:2]]:
+        z, cost, _, _ = least_squares.minimise(
+            problem, point, np.arange(12), iterations=settings["iterations"], ftol=1e-4
+        )
+        if cost < lowest:
+            best, lowest = z, cost
+    return best
+
+
+def _conflict(effects: Sequence[Placed]) -> bool:
+    """Two effects cannot both stand for the spring of one axis."""
+    taken = [axis for placed in effects if placed.effect.replaces_spring for axis in placed.where.axes]
+    return len(taken) != len(set(taken))
+
+
+class Search:
+    """Screening and refits on one pair of trials."""
+
+    def __init__(self, pair: Pair, settings: dict, progress: Callable[[str], None] | None = None):
+        self.pair, self._settings = pair, settings
+        self._progress = progress or (lambda text: None)
+        self.evaluations = 0
+        self._r0, self._j0 = np.empty(0), np.empty((0, 12))
+
+    def fit(self, effects: Sequence[Placed], start: np.ndarray) -> Hypothesis:
+        """Refit on the training trial and evaluate on the held-out one."""
+        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        z, _ = refit(residuals, start, iterations=self._settings["iterations"], ftol=self._settings["ftol"])
+        held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds)
+        chi2 = (residuals.chi2(z), held_out.chi2(z))
+        count = residuals.evaluations + held_out.evaluations
+        self.evaluations += count
+        return Hypothesis(tuple(effects), z, chi2, count)
+
+    def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
+        """Predicted cost of adding each place to a fitted hypothesis, best first."""
+        train = self.pair.train
+        problem = JointResiduals(train, base.effects, self.pair.bounds)
+        r0, j0 = problem.with_jacobian(base.z, np.arange(len(base.z)))
+        self._r0, self._j0 = r0, j0
+        out = []
+        for placed in places:
+            effects = (*base.effects, placed)
+            if _conflict(effects):
+                continue
+            found = self._screen_one(effects, base, r0, j0)
+            if found is not None:
+                out.append(found)
+        self.evaluations += problem.evaluations
+        return sorted(out, key=lambda s: s.predicted)
+
+    def _screen_one(
+        self, effects: tuple[Placed, ...], base: Hypothesis, r0: np.ndarray, j0: np.ndarray
+    ) -> Screened | None:
+        placed = effects[-1]
+        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        own = np.arange(len(base.z), len(residuals.lower))
+        best: Screened | None = None
+        for x in placed.starts():
+            z = np.concatenate([base.z, x])
+            r, jx = residuals.with_jacobian(z, own)
+            if not (np.isfinite(r).all() and np.isfinite(jx).all()):
+                continue
+            # prior rows of the base's own effects stand before those of the new one
+            rows = np.vstack([j0, np.zeros((len(r) - len(j0), j0.shape[1]))])
+            step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
+            if best is None or cost < best.predicted:
+                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, x)
+        self.evaluations += residuals.evaluations
+        return best
+
+    def pairs(self, base: Hypothesis, screened: Sequence[Screened], most: int) -> list[Screened]:
+        """Predicted cost of pairs among screened single effects of the same base, best first, ``most`` of them."""
+        rows = len(self._r0)
+        out = []
+        for a, b in combinations(screened, 2):
+            effects = (a.effects[-1], b.effects[-1])
+            if a.effects[-1].effect.name == b.effects[-1].effect.name or _conflict(effects):
+                continue
+            r = self._r0 + a.change[:rows] + b.change[:rows]
+            jacobian = np.hstack([self._j0, a.own[:rows], b.own[:rows]])
+            z = np.concatenate([base.z, a.own_start, b.own_start])
+            limits = [placed.bounds() for placed in effects]
+            lower = np.concatenate([np.log(self.pair.bounds.lower), *(low for low, _ in limits)])
+            upper = np.concatenate([np.log(self.pair.bounds.upper), *(high for _, high in limits)])
+            step, cost = _bounded_step(jacobian, r, z, lower, upper)
+            out.append(Screened(effects, cost, z + step, r, jacobian[:, 12:], z[12:]))
+            out = sorted(out, key=lambda s: s.predicted)[:most]
+        return out
+
+
+def _bounded_step(
+    jacobian: np.ndarray, r: np.ndarray, z: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Gauss-Newton step, held inside the bounds and to a length that a tangent may claim, and the cost it predicts."""
+    normal, slope = jacobian.T @ jacobian, jacobian.T @ r
+    normal[np.diag_indices_from(normal)] *= 1 + 1e-6
+    normal[np.diag_indices_from(normal)] += 1e-9
+    lower = np.maximum(lower - z, -LONGEST_STEP)
+    upper = np.minimum(upper - z, LONGEST_STEP)
+    free, step = np.ones(len(z), bool), np.zeros(len(z))
+    # what meets a bound stays there and is made good by the others
+    for _ in range(4):
+        part = np.ix_(free, free)
+        step[free] = -np.linalg.solve(normal[part], slope[free] + normal[np.ix_(free, ~free)] @ step[~free])
+        outside = free & ((step < lower) | (step > upper))
+        step = np.clip(step, lower, upper)
+        if not outside.any():
+            break
+        free &= ~outside
+    cost = float(r @ r + 2 * slope @ step + step @ normal @ step)
+    return step, cost
+
+
+def attribute(pair: Pair, start: np.ndarray, settings: dict, progress: Callable[[str], None]) -> Attribution:
+    """Plain fit, then every effect alone, then pairs where one alone leaves more than noise.
+
+    ``start`` (12,) are ln-parameters; ``settings`` is the slice ``diagnosis.search`` of the configuration.
+    """
+    search = Search(pair, settings)
+    plain = search.fit((), start)
+    count = [
+        len(JointResiduals(e, (), pair.bounds).many(plain.z[None])[0]) for e in (pair.train, pair.held_out)
+    ]
+    progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
+    singles = search.screen(plain, candidates(pair.train.scales))
+    listed = [(s.effects[-1].key, s.predicted) for s in singles]
+    progress(f"screened {len(listed)} hypotheses")
+    hypotheses = [search.fit(s.effects, s.start) for s in _shortlist(singles, settings)]
+    hypotheses.sort(key=lambda h: sum(h.chi2))
+    excess = (sum(hypotheses[0].chi2) - sum(count)) / np.sqrt(2 * sum(count))
+    progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
+    if excess > settings["pair_excess_sigma"]:
+        hypotheses += _pairs(search, plain, singles, hypotheses, settings)
+    return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
+
+
+def _shortlist(screened: Sequence[Screened], settings: dict) -> list[Screened]:
+    """The best places of every effect that promises anything, up to a number of refits."""
+    taken: dict[str, int] = {}
+    first: list[Screened] = []
+    rest: list[Screened] = []
+    for s in screened:
+        name = s.effects[-1].effect.name
+        taken[name] = taken.get(name, 0) + 1
+        (first if taken[name] == 1 else rest).append(s)
+    chosen = first[: settings["refits"]]
+    best = screened[0].predicted
+    close = [s for s in rest if s.predicted < best * settings["close_factor"]]
+    return chosen + close[: settings["refits_close"]]
+
+
+def _pairs(
+    search: Search,
+    plain: Hypothesis,
+    singles: Sequence[Screened],
+    found: Sequence[Hypothesis],
+    settings: dict,
+) -> list[Hypothesis]:
+    """Second effects on top of the best single one, and pairs that the tangent alone promises."""
+    best = found[0]
+    options = search.pairs(plain, singles[: settings["pair_pool"]], settings["pair_refits"])
+    places = [s.effects[-1] for s in singles[: settings["pair_pool"]] if s.effects[-1].key != best.key]
+    options += search.screen(best, places)[: settings["pair_refits"]]
+    out, seen = [], set()
+    for option in options:
+        key = frozenset(placed.key for placed in option.effects)
+        if key not in seen:
+            seen.add(key)
+            out.append(search.fit(option.effects, option.start))
+    return sorted(out, key=lambda h: sum(h.chi2))

@@ -1,0 +1,134 @@
+"""From fits to an answer: probabilities over effects, `none` and `unknown`, the ambiguity group and the next trial.
+
+Every refitted set of effects is scored by what it leaves of chi-squared on the training and the held-out trial. The
+scores become probabilities by a softmax whose temperature grows with what even the best set leaves over: where the
+model is not exact, small differences mean nothing. `none` is the plain plant; `unknown` grows with the share of the gap
+that nothing in the catalogue explains. The few constants are fitted on development cases (config,
+``diagnosis.calibration``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS
+
+NONE, UNKNOWN = "none", "unknown"
+
+# Effects that kinematics can hardly tell apart (effects.md), by what a first-order pass predicts
+GROUPS: dict[str, tuple[str, ...]] = {
+    "T": ("replay_lag", "sync_offset", "filter_lag", "clock_drift"),
+    "S": ("one_sided", "preload", "tilt", "marker_offset"),
+    "Dft": ("migration", "marker_drift", "creep"),
+    "M": ("added_mass", "base_compliance", "controller_reaction"),
+    "V": ("coulomb", "lugre", "hysteresis", "relaxation", "quadratic_damping", "soft_tissue"),
+    "A": ("slack", "stiffening", "joint_limit", "asymmetric_stiffness"),
+    "F": ("cross_coupling", "misalignment", "lab_yaw"),
+}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials."""
+
+    names: tuple[str, ...]
+    parameters: int
+    chi2: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Probabilities by effect name, `none` and `unknown` (they add up to 1), and by candidate (same order)."""
+
+    probabilities: dict[str, float]
+    sets: np.ndarray
+    verdict: str
+    group: tuple[str, ...]
+    chosen: int | None
+
+
+def features(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int]) -> dict[str, float]:
+    """What the gate looks at: gap and excess in SD of chi-squared, and the share of the gap left unexplained."""
+    total, n = sum(plain.chi2), sum(samples)
+    best = min((sum(c.chi2) + 2 * c.parameters for c in candidates), default=total)
+    best = min(best, total)
+    spread = np.sqrt(2 * n)
+    return {
+        "gap_sd": (total - n) / spread,
+        "excess_sd": (best - n) / spread,
+        "unexplained": max(best - n, 0.0) / max(total - n, spread),
+    }
+
+
+def logits(
+    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
+) -> np.ndarray:
+    """Unnormalised log-probabilities of the candidates, then of none and unknown."""
+    f = features(plain, candidates, samples)
+    excess = max(f["excess_sd"], 0.0) * np.sqrt(2 * sum(samples))
+    temperature = c["temperature"] + c["temperature_per_excess"] * excess
+
+    def score(candidate: Candidate) -> float:
+        weighted = c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
+        return -(weighted + c["per_parameter"] * candidate.parameters) / temperature
+
+    best = max([score(x) for x in candidates] + [score(plain)])
+    rows = [score(x) - best - c["second_effect"] * (len(x.names) - 1) for x in candidates]
+    rows.append(score(plain) - best + c["none_gain"] / temperature + c["none"])
+    unexplained = np.log(max(f["unexplained"], 1e-4))
+    rows.append(
+        c["unknown"]
+        + c["unknown_unexplained"] * unexplained
+        + c["unknown_excess"] * np.log1p(max(f["excess_sd"], 0))
+    )
+    return np.array(rows)
+
+
+def decide(
+    plain: Candidate,
+    candidates: Sequence[Candidate],
+    samples: tuple[int, int],
+    calibration: Mapping[str, float],
+) -> Decision:
+    """Probabilities, verdict and ambiguity group. ``samples`` are the residuals of training and held-out trial."""
+    z = logits(plain, candidates, samples, calibration)
+    p = np.exp(z - z.max())
+    p /= p.sum()
+    probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
+    for candidate, share in zip(candidates, p, strict=False):
+        for name in candidate.names:
+            probabilities[name] += float(share) / len(candidate.names)
+    probabilities[NONE], probabilities[UNKNOWN] = float(p[-2]), float(p[-1])
+    sets = p[: len(candidates)]
+    effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
+    chosen = int(np.argmax(sets)) if len(sets) else None
+    if chosen is None or max(probabilities[NONE], probabilities[UNKNOWN]) >= effects:
+        verdict = NONE if probabilities[NONE] >= probabilities[UNKNOWN] else UNKNOWN
+        return Decision(probabilities, sets, verdict, (verdict,), None)
+    names = candidates[chosen].names
+    verdict = max(names, key=lambda name: probabilities[name])
+    return Decision(probabilities, sets, verdict, _group(verdict, probabilities), chosen)
+
+
+def _group(verdict: str, probabilities: Mapping[str, float]) -> tuple[str, ...]:
+    """The verdict and those of its group that the data leave more than a little probability."""
+    for members in GROUPS.values():
+        if verdict in members:
+            rest = [m for m in members if m != verdict and probabilities[m] > 0.02]
+            return (verdict, *sorted(rest, key=lambda m: -probabilities[m]))
+    return (verdict,)
+
+
+def next_trial(decision: Decision) -> str | None:
+    """The trial that would tell apart what is left, in one phrase; None where nothing is left to tell."""
+    top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
+    if top[0][1] >= 0.9:
+        return None
+    for name, _ in top:
+        for effect in EFFECTS:
+            if effect.name == name:
+                return effect.separating_trial
+    return None

@@ -1,0 +1,348 @@
+"""What a trial says about a simulation of it: residuals of markers and robot log, in units of their own noise.
+
+A residual of a replay has two sources of noise: that of the interface markers, and that of the pelvis markers, which
+moves the replayed pelvis and reaches the interface through strap and robot. The second is slow and common to markers
+and robot log. Both are simulated from the noise of the markers, and the residuals are whitened by what comes out, per
+band of frequency and over all channels at once. After that a sum of squares is a likelihood.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pyarrow.parquet as pq
+from scipy.fft import dct
+from scipy.spatial.transform import Rotation
+
+from real2sim import signals
+from real2sim.coupling.drive import PelvisDrive, pelvis_drive
+from real2sim.coupling.effects import Context, Scales
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
+from real2sim.coupling.superset import EffectReplay
+from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
+from real2sim.identification.cost import CostScales, TrialCost
+from real2sim.identification.trial import Trial, load_limits, load_trial
+
+# What a channel is never trusted beyond: markers [m], base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
+# plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
+MARKER_FLOOR_M = 5e-5
+ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
+# A spike stands out of what is faster than the cut-off by so many SD; the low-pass of the ingest smears it so far
+SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_SMEAR_S = 4.0, 7.0, 0.08
+# Band edges [Hz] within which the noise is taken as equal
+BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
+
+
+def robot_motion(path: Path, n: int, start: int) -> np.ndarray | None:
+    """Logged robot joints (n, 6) relative to their mean over the first ``start`` samples, the base in world axes.
+
+    None where the trial has no log, or one that knows less than half of it.
+    """
+    table = pq.read_table(path)
+    columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
+    known = np.isfinite(columns).all(axis=1)
+    if len(columns) != n or known.mean() < 0.5 or not known[:start].any():
+        return None
+    turn = json.loads(table.schema.metadata[b"real2sim"]).get("yaw_odom_to_world_rad", 0.0)
+    x, y = columns[:, 0].copy(), columns[:, 1].copy()
+    columns[:, 0] = np.cos(turn) * x - np.sin(turn) * y
+    columns[:, 1] = np.sin(turn) * x + np.cos(turn) * y
+    columns[known, 2] = np.unwrap(columns[known, 2])
+    return columns - np.nanmean(columns[:start], axis=0)
+
+
+@dataclass
+class Evidence:
+    """A trial, its replay with room for effects, and the noise that its residuals are measured in.
+
+    ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
+    band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
+    paper; ``coordinates`` (n, 6) are measured.
+    """
+
+    trial: Trial
+    robot: np.ndarray | None
+    context: Context
+    scales: Scales
+    cost: TrialCost
+    settings: dict
+    robot_file: Path
+    limits: JointLimits | None
+    drive: PelvisDrive
+    coordinates: np.ndarray
+    whiteners: np.ndarray | None = None
+    noise: np.ndarray | None = None
+
+    @property
+    def channels(self) -> int:
+        """Six of the markers, and six of the robot where it was logged."""
+        return 6 if self.robot is None else 12
+
+    def replay(self, effects: list, nsim: int) -> EffectReplay:
+        """A replay of this trial with effects."""
+        trial = self.trial
+        return EffectReplay(
+            effects=effects,
+            context=self.context,
+            scales=self.scales,
+            robot=self.robot_file,
+            robot_settings=self.settings["robot"],
+            plant_settings=self.settings["plant"],
+            time_s=trial.time_s,
+            pelvis_rotation=trial.pelvis_rotation,
+            pelvis_position=trial.pelvis_position,
+            start_rotation=trial.start_rotation,
+            start_position=trial.start_position,
+            rest=trial.rest,
+            limits=self.limits,
+            nsim=nsim,
+            drive=self.drive,
+        )
+
+    def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Residuals (m, n, c) simulated minus measured, gaps bridged by straight lines."""
+        error = paths.reshape(*paths.shape[:2], 6) - self.trial.interface.reshape(-1, 6)
+        if self.robot is not None:
+            error = np.concatenate([error, joints - self.robot], axis=2)
+        return self._without_gaps(error)
+
+    def _without_gaps(self, error: np.ndarray) -> np.ndarray:
+        """Residuals (m, n, c) with straight lines where pelvis or channel is unknown, and a while after a gap."""
+        known = self._measured
+        sample = np.arange(error.shape[1])
+        for c in np.flatnonzero(~known.all(axis=0)):
+            good = known[:, c]
+            for row in error:
+                row[~good, c] = np.interp(sample[~good], sample[good], row[good, c])
+        return error
+
+    @cached_property
+    def _measured(self) -> np.ndarray:
+        """Where each channel counts, (n, c)."""
+        known = np.isfinite(self.trial.interface.reshape(-1, 6))
+        if self.robot is not None:
+            known = np.hstack([known, np.isfinite(self.robot)])
+        return known & self.trial.usable[:, None]
+
+    def spectrum(self, error: np.ndarray) -> np.ndarray:
+        """Cosine coefficients (m, f, c) of residuals (m, n, c) up to the last band's edge."""
+        n = error.shape[1]
+        return dct(error, axis=1, norm="ortho")[:, : self._last(n)]
+
+    def _last(self, n: int) -> int:
+        duration = n * float(self.trial.time_s[1] - self.trial.time_s[0])
+        return min(n, int(2 * duration * BANDS_HZ[-1]))
+
+    def band_of(self, n: int) -> np.ndarray:
+        """Band index of each cosine coefficient of n samples."""
+        duration = n * float(self.trial.time_s[1] - self.trial.time_s[0])
+        frequency = np.arange(self._last(n)) / (2 * duration)
+        return np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")
+
+    def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) whose squares sum to chi-squared; NaN where a simulation failed."""
+        return self.whiten(self.raw(paths, joints))
+
+    def whiten(self, error: np.ndarray) -> np.ndarray:
+        """As `whitened`, from residuals (m, n, c)."""
+        assert self.whiteners is not None
+        coefficients = self.spectrum(error)
+        band = self.band_of(error.shape[1])
+        out = np.empty_like(coefficients)
+        for b, matrix in enumerate(self.whiteners):
+            out[:, band == b] = coefficients[:, band == b] @ matrix.T
+        return out.reshape(len(error), -1)
+
+    def set_noise(self, sd: dict[str, np.ndarray], parameters: np.ndarray, draws: int, seed: int) -> None:
+        """Whiten by noise simulated through the plant with plain strap ``parameters`` (12,).
+
+        ``sd`` holds per marker the SD (3,) [m] of the raw noise.
+        """
+        rng = np.random.default_rng(seed)
+        n = len(self.trial.time_s)
+        self.noise = error = self._noise(sd, parameters, draws, rng)
+        floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
+        coefficients = self.spectrum(error)
+        band = self.band_of(n)
+        whiteners = []
+        for b in range(len(BANDS_HZ) - 1):
+            rows = coefficients[:, band == b].reshape(-1, self.channels)
+            covariance = rows.T @ rows / max(len(rows), 1) + np.diag(floor**2)
+            whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+        self.whiteners = np.array(whiteners)
+
+    def _noise(
+        self, sd: dict[str, np.ndarray], parameters: np.ndarray, draws: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
+        trial, settings = self.trial, self.settings["ingest"]
+        n, rate = len(trial.time_s), settings["rate_hz"]
+
+        def filtered(names: tuple[str, ...]) -> np.ndarray:
+            white = rng.standard_normal((n, len(names), 3)) * np.array([sd[name] for name in names])
+            flat = white.reshape(n, -1)
+            return signals.lowpass(flat, rate, settings["cutoff_hz"], settings["filter_order"]).reshape(
+                white.shape
+            )
+
+        replay = self.replay([], draws + 1)
+        clean = _rigid_markers(trial)
+        r_clean, p_clean = pelvis_frame(*clean)
+        start = self.context.start
+        markers = np.empty((draws, n, 2, 3))
+        for i in range(draws):
+            r, p = pelvis_frame(*(clean + np.moveaxis(filtered(PELVIS_MARKERS), 1, 0)))
+            turn = np.einsum("nij,nkj->nik", r, r_clean)
+            rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
+            replay.set_command(i + 1, replay.command_for(rotation, position))
+            own = filtered(INTERFACE_MARKERS)
+            markers[i] = own - own[:start].mean(axis=0)
+        paths, joints = replay.run_effects(np.tile(parameters, (draws + 1, 1)), [])
+        error = (paths[1:] - paths[:1] - markers).reshape(draws, n, 6)
+        if self.robot is not None:
+            moved = joints[1:] - joints[:1]
+            error = np.concatenate([error, moved - moved[:, :start].mean(axis=1, keepdims=True)], axis=2)
+        return self._without_gaps(error)
+
+
+def spikes(markers: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Where markers (n, 2, 3) jump, (n, 2): fast content far beyond the usual, and what the filter smears around it."""
+    n = len(markers)
+    flat = bridged(markers.reshape(n, 6))
+    fast = flat - signals.lowpass(flat, rate_hz, SPIKE_CUTOFF_HZ, 4)
+    usual = np.median(np.abs(fast), axis=0) / 0.6745
+    hit = (np.abs(fast) > SPIKE_SD * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
+    width = round(SPIKE_SMEAR_S * rate_hz)
+    return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
+
+
+def _rigid_markers(trial: Trial) -> np.ndarray:
+    """Pelvis markers (4, n, 3) [m, world] as a rigid body on the measured pose: there also where one was lost."""
+    rotation, position = trial.pelvis_rotation, trial.pelvis_position
+    local = np.einsum("nji,nkj->nki", rotation, trial.pelvis_markers - position[:, None])
+    shape = np.nanmean(local, axis=0)
+    return np.moveaxis(position[:, None] + np.einsum("nij,kj->nki", rotation, shape), 1, 0)
+
+
+def load_evidence(
+    *,
+    folder: Path,
+    limits: Path | None,
+    robot: Path,
+    settings: dict,
+) -> Evidence:
+    """Evidence of one trial from its canonical tables, not whitened yet.
+
+    Parameters
+    ----------
+    folder
+        results/trials/<SUBJECT>/<TRIAL>.
+    limits
+        Joint limits of the person; None lets the strap's joints go anywhere.
+    settings
+        Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
+    """
+    ident = settings["identification"]
+    trial = load_trial(
+        folder / "pose.parquet",
+        folder / "markers.parquet",
+        start_window_s=ident["start_window_s"],
+        settle_s=ident["settle_after_gap_s"],
+    )
+    n = len(trial.time_s)
+    start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
+    measured = robot_motion(folder / "robot.parquet", n, start)
+    h = float(settings["plant"]["timestep_s"])
+    drive = pelvis_drive(trial.time_s, trial.pelvis_rotation, trial.pelvis_position, h)
+    rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
+    steps = trial.time_s[0] + h * np.arange(len(drive.position))
+    context = Context(
+        trial.time_s,
+        steps,
+        bridged_rotation(trial.pelvis_rotation),
+        bridged(trial.pelvis_position),
+        bridged_rotation(rotation),
+        np.zeros((n, 3)),
+        start,
+        100.0,
+        trial.interface,
+        spikes(trial.interface, 1 / float(trial.time_s[1] - trial.time_s[0])),
+    )
+    rate = 1 / float(trial.time_s[1] - trial.time_s[0])
+    q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
+    sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
+    cost = TrialCost(trial.interface, rate, sigma, trial.usable)
+    known = None if limits is None else load_limits(limits)
+    ones = np.ones(6)
+    scales = Scales(_large(q), _large(qd), ones, ones, ones, h)
+    return Evidence(trial, measured, context, scales, cost, settings, robot, known, drive, q)
+
+
+def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
+    """Measured interface coordinates ("q") or rates ("qd") (n, 6) of pose.parquet, gaps bridged."""
+    table = pq.read_table(path, columns=[f"{prefix}_{axis}" for axis in AXES])
+    return bridged(np.column_stack([column.to_numpy() for column in table.columns]))
+
+
+def _large(values: np.ndarray) -> np.ndarray:
+    """Large excursions (6,): the 95th percentile of the size."""
+    return np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6)
+
+
+def adapted(evidence: Evidence, parameters: np.ndarray) -> Scales:
+    """Scales of the effects (units of their parameters) for a plain fit (12,) of this trial."""
+    replay = evidence.replay([], 1)
+    model = replay.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    dofs = [model.joint(name).dofadr[0] for name in STRAP_JOINTS]
+    inertia = 1 / np.diag(np.linalg.inv(mass))[dofs]
+    old = evidence.scales
+    return Scales(old.q, old.v, parameters[:6], parameters[6:], inertia, old.step)
+
+
+def describe_reaction(evidence: Evidence, folder: Path, parameters: np.ndarray) -> None:
+    """Put into the context what the strap of the plain fit (12,) does to the base, from the measured coordinates."""
+    qd = measured_coordinates(folder / "pose.parquet", "qd")
+    force = -(evidence.coordinates * parameters[:6] + qd * parameters[6:])
+    context = evidence.context
+    world = np.einsum("nij,nj->ni", context.pelvis_rotation, force[:, :3])
+    torque = np.einsum("nij,nj->ni", context.pelvis_rotation, force[:, 3:])
+    twin = mujoco.MjModel.from_xml_path(str(evidence.robot_file))
+    lever = bridged(evidence.trial.interface.mean(axis=1)) - twin.body("base").pos
+    yaw = lever[:, 0] * world[:, 1] - lever[:, 1] * world[:, 0] + torque[:, 2]
+    context.base_reaction = np.column_stack([world[:, :2], yaw])
+    context.robot_mass = float(twin.body_mass.sum())
+
+
+def bridged(values: np.ndarray) -> np.ndarray:
+    """A series (n, k) with unknown samples bridged by straight lines."""
+    out, sample = values.copy(), np.arange(len(values))
+    for c in range(values.shape[1]):
+        known = np.isfinite(values[:, c])
+        out[~known, c] = np.interp(sample[~known], sample[known], values[known, c])
+    return out
+
+
+def bridged_rotation(rotation: np.ndarray) -> np.ndarray:
+    """Rotations (n, 3, 3) with unknown samples bridged along the rotation vector from the first known one."""
+    known = np.isfinite(rotation).all(axis=(1, 2))
+    first = rotation[np.argmax(known)]
+    vectors = np.full((len(rotation), 3), np.nan)
+    vectors[known] = Rotation.from_matrix(first.T @ rotation[known]).as_rotvec()
+    return first @ Rotation.from_rotvec(bridged(vectors)).as_matrix()
+
+
+def marker_noise(quality: dict) -> dict[str, np.ndarray]:
+    """SD (3,) [m] of the raw noise per marker, from a trial's quality.json."""
+    return {
+        name: np.array(quality["markers"][name]["noise_sd_m"])
+        for name in (*PELVIS_MARKERS, *INTERFACE_MARKERS)
+    }

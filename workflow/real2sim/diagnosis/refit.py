@@ -1,0 +1,91 @@
+"""Joint refits: the 12 strap parameters together with the free parameters of added effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from real2sim.coupling.effects import Placed
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.identification import least_squares
+from real2sim.identification.parameters import Bounds
+
+BATCH = 16
+
+
+@dataclass
+class Hypothesis:
+    """Effects with fitted values: ``z`` (12 + p,) ln-parameters and searched numbers, chi-squared of both trials.
+
+    ``chi2`` are those of the training and the held-out trial; ``evaluations`` counts replays.
+    """
+
+    effects: tuple[Placed, ...]
+    z: np.ndarray
+    chi2: tuple[float, float]
+    evaluations: int = 0
+
+    @property
+    def key(self) -> str:
+        """Effects and places; empty for the plain plant."""
+        return " + ".join(placed.key for placed in self.effects)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effect names in the order of their parameters."""
+        return tuple(placed.effect.name for placed in self.effects)
+
+    def split(self) -> list[np.ndarray]:
+        """Searched numbers (p,) of each effect."""
+        return split(self.effects, self.z[None, 12:], squeeze=True)
+
+
+def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> list[np.ndarray]:
+    """Searched numbers (m, p) of all effects, effect by effect."""
+    ends = np.cumsum([len(placed.effect.parameters) for placed in effects])
+    parts = np.split(x, ends[:-1], axis=1) if len(effects) else []
+    return [part[0] for part in parts] if squeeze else parts
+
+
+class JointResiduals(least_squares.Residuals):
+    """Whitened residuals of a trial in ln-parameters and searched numbers, with prior rows for those that have one."""
+
+    def __init__(self, evidence: Evidence, effects: Sequence[Placed], bounds: Bounds):
+        self.effects, self._evidence = tuple(effects), evidence
+        self._replay = evidence.replay(list(effects), BATCH)
+        lower, upper = [np.log(bounds.lower)], [np.log(bounds.upper)]
+        for placed in effects:
+            low, high = placed.bounds()
+            lower.append(low)
+            upper.append(high)
+        self.lower, self.upper = np.concatenate(lower), np.concatenate(upper)
+        self.prior_sd = np.concatenate([np.full(12, np.inf), *(placed.prior_sd() for placed in effects)])
+        self.evaluations = 0
+
+    def many(self, z: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) of points (m, 12 + p)."""
+        self.evaluations += len(z)
+        return np.concatenate([self._some(z[i : i + BATCH]) for i in range(0, len(z), BATCH)])
+
+    def _some(self, z: np.ndarray) -> np.ndarray:
+        paths, joints = self._replay.run_effects(np.exp(z[:, :12]), split(self.effects, z[:, 12:]))
+        rows = self._evidence.whitened(paths, joints)
+        held = np.isfinite(self.prior_sd)
+        return np.hstack([rows, z[:, held] / self.prior_sd[held]])
+
+    def chi2(self, z: np.ndarray) -> float:
+        """Sum of squares of the data's residuals alone at a point (12 + p,)."""
+        row = self.many(z[None])[0]
+        data = row[: len(row) - int(np.isfinite(self.prior_sd).sum())]
+        return float(data @ data)
+
+
+def refit(
+    residuals: JointResiduals, start: np.ndarray, *, iterations: int, ftol: float
+) -> tuple[np.ndarray, float]:
+    """Best point (12 + p,) from a start and its cost, all coordinates free but those whose bounds coincide."""
+    free = np.flatnonzero(residuals.upper - residuals.lower > 0.05)
+    z, cost, _, _ = least_squares.minimise(residuals, start, free, iterations=iterations, ftol=ftol)
+    return z, cost

@@ -1,0 +1,251 @@
+"""Diagnosis of one person: two trials of different regimes in, one answer out (design: diagnosis.json)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.coupling.effects import EFFECTS
+from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
+from real2sim.diagnosis.decide import Candidate, Decision, decide, next_trial
+from real2sim.diagnosis.evidence import Evidence, adapted, describe_reaction, load_evidence, marker_noise
+from real2sim.diagnosis.localise import axis_shares, where
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.geometry import AXES
+from real2sim.identification.noise_floor import block_bootstrap_mean
+from real2sim.identification.parameters import PARAMETERS, Bounds, unit
+from real2sim.provenance import fingerprint, provenance
+
+STAGE_OF = {effect.name: effect.stage for effect in EFFECTS}
+_PACKAGES = ["mujoco", "numpy", "scipy"]
+
+
+def _time_step(settings: dict, step: Path | None) -> float:
+    """Of the person's step study, of the configuration, or the study's largest candidate."""
+    if step is not None:
+        return float(read_json(step, ("timestep_s",))["timestep_s"])
+    configured = settings["plant"]["timestep_s"]
+    return (
+        float(max(settings["plant"]["study"]["candidates_s"])) if configured == "auto" else float(configured)
+    )
+
+
+def prepare(
+    *, train: Path, held_out: Path, neutral: Path, limits: Path | None, robot: Path, settings: dict
+) -> tuple[Pair, np.ndarray]:
+    """Evidence of both trials, whitened, and the plain fit (12,) of the training trial in ln-parameters.
+
+    ``train``, ``held_out`` and ``neutral`` are folders of canonical tables.
+    """
+    bounds = Bounds.from_config(settings["identification"]["bounds"])
+    options = settings["diagnosis"]
+    folders = (train, held_out)
+    evidence = [load_evidence(folder=f, limits=limits, robot=robot, settings=settings) for f in folders]
+    middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
+    z = plain_fit(evidence[0], bounds, middle, options["search"])
+    scales = adapted(evidence[0], np.exp(z))
+    standing = marker_noise(read_json(neutral / "quality.json", ("markers",)))
+    for item, folder in zip(evidence, folders, strict=True):
+        item.scales = scales
+        describe_reaction(item, folder, np.exp(z))
+        item.set_noise(standing, np.exp(z), options["noise_draws"], options["search"]["seed"])
+    return Pair(evidence[0], evidence[1], bounds), z
+
+
+def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
+    """The plain plant and every refitted set as the decision sees them."""
+    plain = Candidate((), 0, attribution.plain.chi2)
+    return plain, [Candidate(h.names, len(h.z) - 12, h.chi2) for h in attribution.hypotheses]
+
+
+def diagnose(
+    *,
+    subject: str,
+    train: Path,
+    held_out: Path,
+    neutral: Path,
+    robot: Path,
+    settings: dict,
+    out: Path,
+    limits: Path | None = None,
+    step: Path | None = None,
+) -> None:
+    """Where the gap lies, which effect causes it, how far it shrinks; written as diagnosis.json.
+
+    Parameters
+    ----------
+    train, held_out, neutral
+        Folders of canonical tables of three trials: results/trials/<SUBJECT>/<TRIAL>.
+    settings
+        Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the configuration.
+    limits, step
+        Joint limits and step study of the person, where they exist.
+    """
+
+    def progress(text: str) -> None:
+        print(f"{subject}: {text}", file=sys.stderr, flush=True)
+
+    settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
+    pair, z = prepare(
+        train=train, held_out=held_out, neutral=neutral, limits=limits, robot=robot, settings=settings
+    )
+    attribution = attribute(pair, z, settings["diagnosis"]["search"], progress)
+    plain, sets = candidates_of(attribution)
+    decision = decide(plain, sets, attribution.samples, settings["diagnosis"]["calibration"])
+    progress(f"verdict {decision.verdict}")
+    phantom = pair.train.trial.phantom or pair.held_out.trial.phantom
+    used = [
+        folder / f"{table}.parquet" for folder in (train, held_out) for table in ("pose", "markers", "robot")
+    ]
+    write_json(
+        out,
+        {
+            "schema": 1,
+            "subject": subject,
+            "phantom": phantom,
+            "train": [train.name],
+            "held_out": [held_out.name],
+        }
+        | _answer(pair, attribution, decision)
+        | {
+            "settings": settings,
+            "provenance": provenance(
+                [*used, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__)
+            ),
+        },
+    )
+
+
+def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[str, Any]:
+    held_out = pair.held_out
+    plain = attribution.plain
+    best = attribution.hypotheses[decision.chosen] if decision.chosen is not None else plain
+    paths = {key: _paths(held_out, h) for key, h in (("plain", plain), ("best", best))}
+    assert held_out.noise is not None
+    noise = held_out.noise[:, :, :6]
+    draws = held_out.cost.energy(noise.reshape(*noise.shape[:2], 2, 3))
+    floor = float(draws.mean())
+    base = float(held_out.cost(paths["plain"][None]).total[0])
+    ranked = _causes(pair, attribution, decision, base, floor)
+    stages: dict[str, float] = {}
+    for name, probability in decision.probabilities.items():
+        if name in STAGE_OF:
+            stages[STAGE_OF[name]] = stages.get(STAGE_OF[name], 0.0) + probability
+    return {
+        "noise_floor": {
+            "J": floor,
+            "ci95": [float(q) for q in np.quantile(draws, [0.025, 0.975])],
+            "source": "marker noise of the trials, simulated through the plant",
+        },
+        "gap": {
+            "J_base": base,
+            "J_floor": floor,
+            "visibility": (base - floor) / floor,
+            "J_with_effect": float(held_out.cost(paths["best"][None]).total[0]),
+            "chi2_plain": list(plain.chi2),
+            "chi2_best": list(best.chi2),
+            "chi2_expected": list(attribution.samples),
+        },
+        "where": {
+            "stage": max(stages, key=lambda s: stages[s]),
+            "stages": stages,
+            "axes": _axes(best, axis_shares(held_out, paths["plain"], noise)),
+        }
+        | where(held_out, paths["plain"], noise),
+        "causes": ranked,
+        "probabilities": decision.probabilities,
+        "verdict": decision.verdict,
+        "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
+        "ambiguity_group": list(decision.group),
+        "next_trial": next_trial(decision),
+        "parameters": {
+            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)}
+            for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
+        },
+    }
+
+
+def _paths(evidence: Evidence, hypothesis: Hypothesis) -> np.ndarray:
+    """Simulated interface markers (n, 2, 3) of a hypothesis."""
+    replay = evidence.replay(list(hypothesis.effects), 1)
+    return replay.run_effects(np.exp(hypothesis.z[None, :12]), [x[None] for x in hypothesis.split()])[0][0]
+
+
+def _axes(best: Hypothesis, measured: dict[str, float]) -> dict[str, float]:
+    """Axes of the cause where it has some, weighed by what is measured; what is measured where it has none."""
+    named = [axis for placed in best.effects for axis in placed.axes]
+    if not named:
+        return measured
+    weights = {axis: (1.0 if axis in named else 0.0) * (measured[axis] + 0.05) for axis in AXES}
+    total = sum(weights.values())
+    return {axis: weight / total for axis, weight in weights.items()}
+
+
+def _causes(
+    pair: Pair, attribution: Attribution, decision: Decision, base: float, floor: float
+) -> list[dict[str, Any]]:
+    """Every effect with some probability: its best set, what it closes, its parameters with intervals."""
+    out: list[dict[str, Any]] = []
+    seen: set[str] = set()
+    best_first = np.argsort(-decision.sets)
+    for index in best_first:
+        hypothesis = attribution.hypotheses[index]
+        for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
+            name = placed.effect.name
+            if name in seen or (decision.probabilities[name] < 0.005 and len(out) >= 3):
+                continue
+            seen.add(name)
+            entry = {
+                "effect": name,
+                "probability": decision.probabilities[name],
+                "axes": placed.axes,
+                "stage": placed.effect.stage,
+                "equation": placed.effect.equation,
+                "with": [n for n in hypothesis.names if n != name],
+                "group": placed.effect.group,
+                "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
+            }
+            if len(out) < 3:
+                entry |= _closed(pair, attribution.plain, hypothesis, base, floor)
+                _add_intervals(pair, hypothesis, placed, entry["parameters"])
+            out.append(entry)
+    return out
+
+
+def _closed(
+    pair: Pair, plain: Hypothesis, hypothesis: Hypothesis, base: float, floor: float
+) -> dict[str, Any]:
+    """J on the held-out trial and the share of the closable gap, with a block-bootstrap interval."""
+    evidence = pair.held_out
+    j = float(evidence.cost(_paths(evidence, hypothesis)[None]).total[0])
+    rows = [evidence.cost.residuals(_paths(evidence, h)[None])[0] for h in (plain, hypothesis)]
+    sample = evidence.cost.sample_of_residual()
+    saved = np.bincount(sample, weights=rows[0] ** 2 - rows[1] ** 2)
+    rate = round(1 / float(evidence.trial.time_s[1] - evidence.trial.time_s[0]))
+    low, high = block_bootstrap_mean(saved * len(saved), rate, 500, 0.95, 1)
+    gap = max(base - floor, 1e-12)
+    return {"J_held_out": j, "gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
+
+
+def _add_intervals(pair: Pair, hypothesis: Hypothesis, placed: Any, named: dict[str, dict[str, Any]]) -> None:
+    """95 % intervals of an effect's parameters from the curvature at the joint optimum."""
+    problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
+    _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
+    normal = jacobian.T @ jacobian
+    normal[np.diag_indices_from(normal)] += 1e-9
+    covariance = np.linalg.inv(normal)
+    first = 12
+    for other in hypothesis.effects:
+        if other is placed:
+            break
+        first += len(other.effect.parameters)
+    own = slice(first, first + len(placed.effect.parameters))
+    sd = np.sqrt(np.diag(covariance)[own])
+    x = hypothesis.z[own]
+    low, high = placed.values((x - 1.96 * sd)[None])[0], placed.values((x + 1.96 * sd)[None])[0]
+    for entry, a, b in zip(named.values(), low, high, strict=True):
+        entry["ci95"] = [float(min(a, b)), float(max(a, b))]

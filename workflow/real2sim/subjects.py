@@ -123,10 +123,10 @@ def discover(root: Path) -> dict[str, Subject]:
     return subjects
 
 
-def read_subject(folder: Path) -> Subject:
-    """One subject's folder, checked as `discover` does."""
+def read_subject(folder: Path, sweeps: bool = True) -> Subject:
+    """One subject's folder, checked as `discover` does; without ``sweeps`` no trials at T* are asked for."""
     folder = Path(folder)
-    return _subject(folder, subject_values(folder))
+    return _subject(folder, subject_values(folder), sweeps)
 
 
 # -------------------- subject.yaml
@@ -169,7 +169,7 @@ def _check_tightness(path: Path, tightness: dict[str, int]) -> None:
 # -------------------- trials
 
 
-def _subject(folder: Path, values: dict[str, Any]) -> Subject:
+def _subject(folder: Path, values: dict[str, Any], sweeps: bool = True) -> Subject:
     exclude = {str(k): v for k, v in values["exclude"].items()}
     files = _files(folder)
     for name in exclude:
@@ -179,7 +179,8 @@ def _subject(folder: Path, values: dict[str, Any]) -> Subject:
             raise InputError(folder / SUBJECT_FILE, "key exclude", name, expected, remedy, "excluded_trial")
     trials = {name: _trial(folder, name, kinds) for name, kinds in files.items() if name not in exclude}
     _check_levels(folder, list(trials), values["tightness"])
-    _check_required(folder, trials, exclude, values["tightness"]["safe_comfortable_cm"])
+    own_level = values["tightness"]["safe_comfortable_cm"]
+    _check_required(folder, trials, exclude, own_level if sweeps else None)
     rest = {k: v for k, v in values.items() if k not in ("exclude", "markers")}
     return Subject(**rest, markers=dict(values["markers"]), exclude=exclude, trials=trials, folder=folder)
 
@@ -237,13 +238,12 @@ def _check_levels(folder: Path, trials: list[str], tightness: dict[str, int]) ->
 
 
 def _check_required(
-    folder: Path, trials: dict[str, TrialFiles], exclude: dict[str, str], own_level: int
+    folder: Path, trials: dict[str, TrialFiles], exclude: dict[str, str], own_level: int | None
 ) -> None:
-    needed = {
-        "neutral": "the rest pose of the interface",
-        f"rotation_T{own_level:02d}": "the joint limits at T*",
-        f"translation_T{own_level:02d}": "the joint limits at T*",
-    }
+    needed = {"neutral": "the rest pose of the interface"}
+    if own_level is not None:
+        needed[f"rotation_T{own_level:02d}"] = "the joint limits at T*"
+        needed[f"translation_T{own_level:02d}"] = "the joint limits at T*"
     for name, purpose in needed.items():
         if name not in trials:
             found = f"no trial {name}" + (f" (excluded: {exclude[name]})" if name in exclude else "")

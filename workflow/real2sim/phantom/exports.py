@@ -126,14 +126,28 @@ def odometry_frame(settings: dict[str, Any], person: Person) -> tuple[float, np.
 # -------------------- Qualisys
 
 
-def write_trial_markers(path: Path, settings: dict[str, Any], person: Person, trial: Trial) -> dict[str, Any]:
-    """Write the marker trajectories of a trial; returns what the truth file keeps about it."""
+def write_trial_markers(
+    path: Path,
+    settings: dict[str, Any],
+    person: Person,
+    trial: Trial,
+    positions: dict[str, np.ndarray] | None = None,
+    smooth_hz: float | None = None,
+) -> dict[str, Any]:
+    """Write the marker trajectories of a trial; returns what the truth file keeps about it.
+
+    ``positions`` are the markers before noise where they are not the true ones; with ``smooth_hz`` the export
+    is low-passed (fourth order, zero phase), as some labs set their software to do.
+    """
     rate = settings["rates"]["markers_hz"]
     t = np.arange(round(trial.motion.duration_s * rate)) / rate
-    positions = true_markers(settings, person, trial, t)
+    if positions is None:
+        positions = true_markers(settings, person, trial, t)
     rng = stream(settings, person.name, trial.name, "markers")
-    for values in positions.values():
+    for name, values in positions.items():
         values += person.marker_noise_m * rng.standard_normal(values.shape)
+        if smooth_hz is not None:
+            positions[name] = sosfiltfilt(butter(2, smooth_hz, fs=rate, output="sos"), values, axis=0)
     gaps = _gaps(settings, trial.kind, list(positions), t[-1], rng)
     for marker, start, end in gaps:
         positions[marker][(t >= start) & (t < end)] = np.nan

@@ -12,9 +12,10 @@ order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -174,6 +175,28 @@ class TruePaths:
     torque: np.ndarray
 
 
+@dataclass
+class Step:
+    """What an effect on the robot's side may see at one step, one row per trial.
+
+    ``time_s``; ``joints``, ``rates`` (n, 6) in the order BASE_JOINTS + ARM_JOINTS; ``force``, ``torque``
+    (n, 3) of the strap on the interface midpoint in world axes; all SI.
+    """
+
+    time_s: float
+    joints: np.ndarray
+    rates: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+
+
+class RobotEffect(Protocol):
+    """A force on the robot that its controllers do not know of; called once per step."""
+
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
+        """Add to ``joint_force`` (n, 6) [N, Nm] and ``body_force`` (n, 3, 3): base, arm, interface [N]."""
+
+
 class Robot:
     """The robot tree of an MJCF file, without gravity (arm balanced, base planar) and without contacts."""
 
@@ -196,6 +219,8 @@ class Robot:
         self.body = self.model.body("interface").id
         self.side = np.array(sites[0].pos) - middle
         self.to_com = self.model.body_ipos[self.body] - middle
+        self.bodies = [self.model.body(n).id for n in ("base", "arm", "interface")]
+        self.masses = self.model.body_mass[self.bodies].copy()
         names = BASE_JOINTS + ARM_JOINTS
         self.dofs = np.array([self.model.joint(n).dofadr[0] for n in names])
         self.step_s = step_s
@@ -230,13 +255,41 @@ def simulate(
     law: StrapLaw,
     controllers: list[Controller],
     rate_hz: float,
+    effects: Sequence[RobotEffect] = (),
+    added_mass: np.ndarray | None = None,
 ) -> list[TruePaths]:
-    """Step all trials at once and sample them at ``rate_hz``; results in the order given."""
+    """Step all trials at once and sample them at ``rate_hz``; results in the order given.
+
+    ``effects`` act on the robot and see the trials in the order given, so they ask for trials of one
+    duration; ``added_mass`` (n, 4) is carried by the interface: mass [kg] and inertia about x, y, z [kg m^2].
+    """
+    runs, back = _sorted(_Runs, robot, paths, law, controllers, rate_hz, effects, added_mass)
+    runs.run()
+    return [runs.collect(i) for i in back]
+
+
+def simulate_centres(
+    robot: Robot,
+    paths: list[PelvisPath],
+    law: StrapLaw,
+    controllers: list[Controller],
+    rate_hz: float,
+    effects: Sequence[RobotEffect] = (),
+    added_mass: np.ndarray | None = None,
+) -> np.ndarray:
+    """As `simulate`, for many trials of one duration: joint centres left, right (n, m, 2, 3) [m] alone."""
+    runs, back = _sorted(_Centres, robot, paths, law, controllers, rate_hz, effects, added_mass)
+    runs.run()
+    return runs.centres()[back]
+
+
+def _sorted(kind, robot, paths, law, controllers, rate_hz, effects, added_mass):
     order = np.argsort([-p.duration_s for p in paths], kind="stable")
-    back = np.argsort(order)
-    runs = _Runs(robot, [paths[i] for i in order], law.take(order), [controllers[i] for i in order], rate_hz)
-    done = runs.run()
-    return [done[i] for i in back]
+    if len(effects) and (order != np.arange(len(paths))).any():
+        raise ValueError("effects on the robot need trials of one duration")
+    runs = kind(robot, [paths[i] for i in order], law.take(order), [controllers[i] for i in order], rate_hz)
+    runs.effects, runs.added_mass = effects, None if added_mass is None else added_mass[order]
+    return runs, np.argsort(order)
 
 
 class _Runs:
@@ -258,11 +311,17 @@ class _Runs:
         }
         self.pelvis_start = {i: paths[i](np.zeros(1))[1][0, :2] for i, _ in self.follows}
         self.rate_hz = rate_hz
-        self.samples: list[list[list[np.ndarray]]] = [[] for _ in paths]
+        self.effects: Sequence[RobotEffect] = ()
+        self.added_mass: np.ndarray | None = None
+        self.samples: list[tuple[np.ndarray, ...]] = []
 
-    def run(self) -> list[TruePaths]:
+    def run(self) -> None:
         n, total = len(self.paths), int(self.steps[0])
         batch = Batch(self.robot.model, n, 1, True)
+        if self.added_mass is not None:
+            batch.expand("body_mass")[:, self.robot.body] += self.added_mass[:, 0]
+            batch.expand("body_inertia")[:, self.robot.body] += self.added_mass[:, 1:]
+            batch.set_const()
         qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
         sensors = batch.bind("sensordata")
         qpos[:, self.robot.dofs] = self.start
@@ -300,13 +359,21 @@ class _Runs:
                 for i, follow in self.follows:
                     if i < active:
                         joints[i, :2] = self._follow(i, follow, step, here, positions, v_now)
+                if self.effects:
+                    on_bodies = np.zeros((active, 3, 3))
+                    seen = Step(step * self.robot.step_s, positions, v_now, force, torque)
+                    for effect in self.effects:
+                        effect(seen, joints, on_bodies)
+                    wrench[:active, self.robot.bodies[:2], :3] = on_bodies[:, :2]
+                    wrench[:active, self.robot.body, :3] += on_bodies[:, 2]
                 applied[:active, self.robot.dofs] = joints
                 batch.step(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
             k = last + 1
-        return [self._collect(rows) for rows in self.samples]
 
     def _pelvis(self, active: int, t: np.ndarray) -> tuple[np.ndarray, ...]:
-        parts = [self.paths[i](t) for i in range(active)]
+        # trials that share a path share its evaluation
+        seen = {id(path): path(t) for path in {id(p): p for p in self.paths[:active]}.values()}
+        parts = [seen[id(path)] for path in self.paths[:active]]
         return tuple(np.ascontiguousarray(np.stack([p[c] for p in parts], axis=1)) for c in range(4))
 
     def _follow(self, i, follow, step, pelvis, positions, rates) -> np.ndarray:
@@ -324,17 +391,29 @@ class _Runs:
         return push * along + aside * across
 
     def _sample(self, active, pelvis, state, positions, v, q, qd, force, torque) -> None:
-        for i in range(active):
-            row = [pelvis[0][i], pelvis[1][i], state[0][i], state[1][i]]
-            row += [positions[i], v[i], q[i], qd[i], force[i], torque[i]]
-            self.samples[i].append([np.array(x) for x in row])
+        row = [pelvis[0], pelvis[1], state[0], state[1], positions, v, q, qd, force, torque]
+        self.samples.append(tuple(np.array(x) for x in row))
 
-    def _collect(self, rows) -> TruePaths:
+    def collect(self, trial: int) -> TruePaths:
+        """Paths of one trial."""
+        rows = [row for row in self.samples if len(row[0]) > trial]
         r_p, p_p, r_i, p_i, joints, rates, q, qd, force, torque = (
-            np.array([row[c] for row in rows]) for c in range(10)
+            np.array([row[c][trial] for row in rows]) for c in range(10)
         )
         offset = r_i @ self.robot.side
         time = np.arange(len(rows)) / self.rate_hz
         return TruePaths(
             time, r_p, p_p, r_i, p_i, p_i + offset, p_i - offset, joints, rates, q, qd, force, torque
         )
+
+
+class _Centres(_Runs):
+    """Keeps the joint centres alone: hundreds of trials at once would fill the memory."""
+
+    def _sample(self, active, pelvis, state, positions, v, q, qd, force, torque) -> None:
+        offset = state[0] @ self.robot.side
+        self.samples.append((np.stack([state[1] + offset, state[1] - offset], axis=1),))
+
+    def centres(self) -> np.ndarray:
+        """Left and right joint centres (n, m, 2, 3) [m]."""
+        return np.stack([row[0] for row in self.samples], axis=1)

@@ -1,0 +1,120 @@
+"""Which cases a suite has and what each of them holds. Light imports: the Snakefile calls this when parsed."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+# The 28 effects of the catalogue, in its order
+EFFECTS = (
+    "slack",
+    "one_sided",
+    "stiffening",
+    "asymmetric_stiffness",
+    "coulomb",
+    "lugre",
+    "hysteresis",
+    "relaxation",
+    "creep",
+    "migration",
+    "cross_coupling",
+    "misalignment",
+    "preload",
+    "joint_limit",
+    "quadratic_damping",
+    "added_mass",
+    "base_compliance",
+    "controller_reaction",
+    "tilt",
+    "soft_tissue",
+    "lab_yaw",
+    "replay_lag",
+    "sync_offset",
+    "clock_drift",
+    "filter_lag",
+    "marker_offset",
+    "marker_drift",
+    "outliers",
+)
+
+# Effects that kinematics alone can hardly tell apart (effects.md): a mixture takes no two of one group
+GROUPS = (
+    ("replay_lag", "sync_offset", "filter_lag", "clock_drift"),
+    ("one_sided", "preload", "tilt", "marker_offset", "asymmetric_stiffness"),
+    ("migration", "marker_drift", "creep"),
+    ("added_mass", "base_compliance", "controller_reaction"),
+    ("coulomb", "lugre", "hysteresis", "relaxation", "quadratic_damping", "soft_tissue"),
+    ("slack", "stiffening", "joint_limit"),
+    ("cross_coupling", "misalignment", "lab_yaw"),
+    ("outliers",),
+)
+
+STRATA = ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case before anything is drawn but its cause: names of the forms and the visibility asked for."""
+
+    id: str
+    stratum: str
+    forms: tuple[str, ...]
+    target: float | None
+
+
+def shards(suite: dict[str, Any]) -> int:
+    """Number of shards of a suite."""
+    return -(-sum(suite["cases"].values()) // suite["shard_cases"])
+
+
+def case_names(suite: dict[str, Any], shard: int) -> list[str]:
+    """Names of the cases of one shard, counted from 0."""
+    size, total = suite["shard_cases"], sum(suite["cases"].values())
+    return [f"C{i + 1:04d}" for i in range(shard * size, min((shard + 1) * size, total))]
+
+
+def stream(suite: dict[str, Any], *names: str) -> np.random.Generator:
+    """Random numbers of one purpose, independent of every other and of the order of the draws."""
+    return np.random.default_rng([suite["seed"], *(zlib.crc32(name.encode()) for name in names)])
+
+
+def cases(suite: dict[str, Any]) -> list[Case]:
+    """All cases of a suite: counts per stratum as configured, effects and visibilities in balance.
+
+    The order is shuffled, so that a name says nothing about the stratum.
+    """
+    planned: list[tuple[str, tuple[str, ...], float | None]] = []
+    for stratum in STRATA:
+        count = suite["cases"][stratum]
+        if stratum.startswith("null"):
+            planned += [(stratum, (), None)] * count
+        else:
+            planned += [(stratum, *pick) for pick in _picks(suite, stratum, count)]
+    order = stream(suite, "order").permutation(len(planned))
+    return [Case(f"C{i + 1:04d}", *planned[j]) for i, j in enumerate(order)]
+
+
+def _picks(suite: dict[str, Any], stratum: str, count: int) -> list[tuple[tuple[str, ...], float]]:
+    rng, targets = stream(suite, stratum), suite["visibilities"][stratum]
+    if stratum == "mixture":
+        pairs = _pairs(suite["effects"])
+        chosen = [pairs[i] for i in rng.permutation(len(pairs))]
+        return [(chosen[i % len(chosen)], targets[i % len(targets)]) for i in range(count)]
+    pool = suite["effects"] if stratum == "in_library" else suite[stratum]
+    pool = [pool[i] for i in rng.permutation(len(pool))]
+    shift = rng.integers(len(targets), size=len(pool))
+    # every round has each form once, at another visibility than the round before
+    return [
+        ((pool[i % len(pool)],), targets[(i // len(pool) + shift[i % len(pool)]) % len(targets)])
+        for i in range(count)
+    ]
+
+
+def _pairs(effects: list[str]) -> list[tuple[str, str]]:
+    group = {name: i for i, names in enumerate(GROUPS) for name in names}
+    return [
+        (a, b) for i, a in enumerate(effects) for b in effects[i + 1 :] if group.get(a, a) != group.get(b, b)
+    ]

@@ -1,0 +1,110 @@
+"""How strong an effect has to be to make a gap of a given size, by the phantom's own physics.
+
+The gap of a case is what is left of the effect on the held-out trial when the twelve parameters are refitted to
+the training trial, over the noise floor: rho = (J - floor) / floor. The refit is linear: the effect's residual on
+the training trial is projected on the twelve tangents, and the same step moves the held-out trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from real2sim.phantom.suite.measurement import residual
+
+TRAIN, HELD_OUT = "dynamic_1", "dynamic_2"
+_STEP_LN = 1e-3
+_PRIOR_SD_LN = 1.0  # a refit stays within the search bounds: about this far in ln
+_MOST_LN = 3.0
+_BANDWIDTH_HZ = 12.0
+
+
+@dataclass
+class Refit:
+    """Tangents of one case: columns of residual per ln of a parameter, on both trials, and the floors."""
+
+    train: np.ndarray
+    held_out: np.ndarray
+    floor_train: float
+    floor_held_out: float
+    duration_s: float
+
+    def step(self, misfit: np.ndarray) -> np.ndarray:
+        """Change of the ln parameters (12,) that makes good a misfit on the training trial."""
+        # independent values: two markers, three axes, twice the band-width
+        count = 2 * 3 * 2 * _BANDWIDTH_HZ * self.duration_s
+        ridge = self.floor_train / count / _PRIOR_SD_LN**2
+        normal = self.train.T @ self.train + ridge * np.eye(self.train.shape[1])
+        return np.clip(np.linalg.solve(normal, self.train.T @ misfit), -_MOST_LN, _MOST_LN)
+
+    def visibility(self, train: np.ndarray, held_out: np.ndarray) -> float:
+        """rho of residuals (without noise) that an effect leaves on the two trials."""
+        left = held_out - self.held_out @ self.step(train)
+        return float(left @ left) / self.floor_held_out
+
+
+@dataclass
+class Search:
+    """Bracketing search for one severity in (0, 1], on logarithmic scales."""
+
+    target: float
+    tolerance: float
+    low: tuple[float, float] | None = None
+    high: tuple[float, float] | None = None
+    best: tuple[float, float] = (1.0, np.nan)
+    done: bool = False
+
+    def tell(self, severity: float, reached: float) -> None:
+        """Take in what a severity reached."""
+        reached = max(reached, 1e-12)
+        if not np.isfinite(self.best[1]) or self._miss(reached) < self._miss(self.best[1]):
+            self.best = (severity, reached)
+        if self._miss(reached) < self.tolerance or (severity >= 1.0 and reached < self.target):
+            self.done = True
+        if reached < self.target:
+            if self.low is None or severity > self.low[0]:
+                self.low = (severity, reached)
+        elif self.high is None or severity < self.high[0]:
+            self.high = (severity, reached)
+
+    def _miss(self, reached: float) -> float:
+        return abs(np.log(max(reached, 1e-12) / self.target))
+
+    def ask(self) -> float:
+        """The next severity to try."""
+        if self.high is None:
+            return 1.0
+        s1, r1 = np.log(self.high)
+        if self.low is None:
+            # a small effect is linear in its severity, so the gap is quadratic
+            slope, reach = 2.0, np.log(1e4)
+            return float(np.exp(max(s1 - (r1 - np.log(self.target)) / slope, s1 - reach)))
+        s0, r0 = np.log(self.low)
+        share = np.clip((np.log(self.target) - r0) / max(r1 - r0, 1e-9), 0.1, 0.9)
+        return float(np.exp(s0 + share * (s1 - s0)))
+
+
+def refit_of(
+    centres: dict[str, dict[str, Any]], noise_m: float, rate_hz: float, rng: np.random.Generator
+) -> Refit:
+    """Tangents and floors from simulated centres per trial: ``base``, ``tangent`` (12 of them), ``noisy``."""
+    tangents, floors = {}, {}
+    for trial, runs in centres.items():
+        base = runs["base"]
+        tangents[trial] = np.column_stack([residual(c - base, rate_hz) / _STEP_LN for c in runs["tangent"]])
+        noise = noise_m * rng.standard_normal(base.shape)
+        r = residual(noise - (runs["noisy"] - base), rate_hz)
+        floors[trial] = float(r @ r)
+    duration = len(centres[TRAIN]["base"]) / rate_hz
+    return Refit(
+        tangents[TRAIN], tangents[HELD_OUT], floors[TRAIN], floors[HELD_OUT], duration
+    )
+
+
+def perturbed(stiffness: np.ndarray, damping: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Twelve copies of the strap's parameters, each with one of them larger by the tangents' step."""
+    both = np.concatenate([stiffness, damping])
+    grown = both * np.exp(_STEP_LN * np.eye(12))
+    return [(row[:6], row[6:]) for row in grown]

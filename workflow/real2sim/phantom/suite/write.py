@@ -1,0 +1,572 @@
+"""Simulate, measure and write the cases of one shard; their truth goes to a file that no analysis reads."""
+
+from __future__ import annotations
+
+import copy
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from real2sim.artefacts import write_json
+from real2sim.files import write_text
+from real2sim.phantom import exports, tasks
+from real2sim.phantom.cohort import robot_controller
+from real2sim.phantom.exports import Trial
+from real2sim.phantom.motions import Motion, pelvis_path
+from real2sim.phantom.person import UNITS, Person, draw_person
+from real2sim.phantom.physics import ARM_JOINTS, BASE_JOINTS, Controller, PelvisPath, Robot, TruePaths
+from real2sim.phantom.suite import excitation
+from real2sim.phantom.suite.effects import FORMS, Context, Draw, Form
+from real2sim.phantom.suite.measurement import (
+    Recording,
+    interface_pose,
+    pelvis_markers,
+    pelvis_pose,
+    replayed_path,
+    residual,
+    sampled,
+)
+from real2sim.phantom.suite.plan import Case, case_names, cases, stream
+from real2sim.phantom.suite.setups import Setup, run, run_centres
+from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Refit, Search, perturbed, refit_of
+
+RATE_HZ = 100.0
+TRIALS = ("neutral", TRAIN, HELD_OUT)
+_START_WINDOW_S = 0.5
+
+
+@dataclass
+class _Cause:
+    """One effect of a case: its form, the draw of it, the severity found, and the gap it makes alone."""
+
+    form: Form
+    name: str
+    draw: Draw = field(default_factory=Draw)
+    severity: float = 0.0
+    rho: float = 0.0
+    search: Search | None = None
+    candidates: list[Draw] = field(default_factory=list)
+
+
+@dataclass
+class _Synthetic:
+    """A case with its person and its trials without any effect."""
+
+    case: Case
+    person: Person
+    settings: dict[str, Any]
+    motions: dict[str, Motion]
+    paths: dict[str, PelvisPath]
+    starts: dict[str, np.ndarray]
+    controllers: dict[str, Controller]
+    smooth_hz: float | None
+    regime: tuple[float, float]
+    causes: list[_Cause]
+    base: dict[str, TruePaths] = field(default_factory=dict)
+    about: Context | None = None
+    refit: Refit | None = None
+
+
+def write_cases(
+    *, suite: dict, shard: int, settings: dict, controllers: dict, robot: Path, out: Path, truth: Path
+) -> None:
+    """Write the cases of one shard as raw exports below ``out``, and their sealed truth.
+
+    ``suite`` is a validated suite configuration, ``settings`` config/phantom.yaml, ``controllers`` the robot's
+    controllers (config.yaml, ``robot``), ``robot`` its MJCF; ``out`` becomes ``<out>/<CASE>/*`` for the cases
+    that `plan.case_names` gives.
+    """
+    begun = time.perf_counter()
+    names = case_names(suite, shard)
+    plan = [case for case in cases(suite) if case.id in set(names)]
+    print(f"{suite['name']} shard {shard}: {len(plan)} cases, about {4 * len(plan)} s", flush=True)
+
+    def say(what: str) -> None:
+        print(f"  {time.perf_counter() - begun:5.1f} s  {what}", flush=True)
+
+    coarse, fine = (
+        Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"])
+    )
+    people = [_synthesise(suite, case, settings, controllers, fine) for case in plan]
+    world = _World(suite, settings, coarse, fine)
+    _describe(world, people)
+    say("trials without effects")
+    _linearise(world, people)
+    say("tangents and noise floors")
+    _solve(world, people, say)
+    finished = _simulate(world, people)
+    say("true trials")
+    home = np.array(fine.model.body("base").pos[:2])
+    write_json(
+        truth,
+        {
+            "schema": 1,
+            "phantom": True,
+            "note": "Sealed truth of synthetic people. No analysis may read this file.",
+            "suite": suite["name"],
+            "shard": shard,
+            "robot": robot.name,
+            "cases": [
+                _write(world, p, true, out / p.case.id, home)
+                for p, true in zip(people, finished, strict=True)
+            ],
+        },
+    )
+    say("written")
+
+
+@dataclass
+class _World:
+    """What all cases share: configuration, and the robot with a coarse and a fine time step."""
+
+    suite: dict[str, Any]
+    settings: dict[str, Any]
+    coarse: Robot
+    fine: Robot
+
+    @property
+    def stops(self) -> dict[str, Any]:
+        return self.settings["stops"]
+
+
+# -------------------- people and trials
+
+
+def _synthesise(
+    suite: dict[str, Any], case: Case, phantom: dict[str, Any], controllers: dict[str, Any], robot: Robot
+) -> _Synthetic:
+    settings = _settings(suite, case, phantom)
+    person = draw_person(settings, case.id, float(robot.rest_middle(np.zeros(6))[1][2]))
+    rng = stream(suite, case.id, "noise")
+    low, high = (np.log(suite["noise"][key]) for key in ("low_m", "high_m"))
+    person.marker_noise_m = float(np.exp(rng.uniform(low, high)))
+    smooth = None
+    if case.stratum == "null_hard":
+        person.marker_noise_m *= suite["noise"]["hard_factor"]
+        if settings["trials"]["dynamic_s"] == suite["trials"]["dynamic_s"]:
+            smooth = float(suite["noise"]["hard_filter_hz"])
+    regime = suite["motion"]["held_out"][
+        int(stream(suite, case.id, "regime").integers(len(suite["motion"]["held_out"])))
+    ]
+    motions, paths, starts, hands = {}, {}, {}, {}
+    for name in TRIALS:
+        rng = stream(suite, case.id, name, "motion")
+        motions[name] = (
+            tasks.neutral(settings, rng)
+            if name == "neutral"
+            else excitation.dynamic(
+                suite, settings["trials"]["dynamic_s"], rng, regime if name == HELD_OUT else (1.0, 1.0)
+            )
+        )
+        starts[name] = _place(settings, suite, case.id, name)
+        hands[name] = robot_controller(settings, controllers, "dynamic", starts[name])
+        paths[name] = _path(
+            robot, motions[name], starts[name], person, person.rest_rotation, person.rest_position, settings
+        )
+    causes = [_Cause(FORMS[name], name) for name in case.forms]
+    return _Synthetic(case, person, settings, motions, paths, starts, hands, smooth, tuple(regime), causes)
+
+
+def _settings(suite: dict[str, Any], case: Case, phantom: dict[str, Any]) -> dict[str, Any]:
+    """Phantom's settings for one case: its own person, short trials, no effect but neutral sway."""
+    settings = copy.deepcopy(phantom)
+    rng = stream(suite, case.id, "facts")
+    height = float(np.clip(1.747 + 0.06 * rng.standard_normal(), 1.55, 1.95))
+    mass = float(np.clip(82.7 + 10.4 * rng.standard_normal(), 50, 120))
+    own = int(rng.integers(7, 13))
+    settings["seed"] = suite["seed"]
+    settings["cohort"] = {
+        case.id: {
+            "cohort": "calibration",
+            "sex": str(rng.choice(["female", "male"])),
+            "age_years": int(rng.integers(21, 41)),
+            "mass_kg": round(mass, 1),
+            "height_m": round(height, 3),
+            "waist_m": round(0.923 + 0.008 * (mass - 82.7), 3),
+            "tightness": {"loosest_cm": own - 4, "tightest_cm": own + 4, "safe_comfortable_cm": own},
+        }
+    }
+    settings["parameters"] = suite["parameters"]
+    settings["trials"] |= {key: suite["trials"][key] for key in ("quiet_s", "neutral_s", "dynamic_s")}
+    if case.stratum == "null_hard" and rng.random() < 0.5:
+        settings["trials"]["dynamic_s"] = suite["trials"]["short_s"]
+    for effect in ("soft_tissue", "strap_migration"):
+        settings["effects"][effect]["enabled"] = False
+    settings["measurement"]["gaps"] |= suite["gaps"]
+    # the study measures no force
+    settings["measurement"]["wrench"]["enabled"] = False
+    settings["measurement"]["markerless_clock"]["drift_person"] = ""
+    return settings
+
+
+def _place(settings: dict[str, Any], suite: dict[str, Any], case: str, trial: str) -> np.ndarray:
+    body, rng = settings["person"], stream(suite, case, trial, "placement")
+    x, y = body["placement_sd_m"] * rng.standard_normal(2)
+    return np.array([x, y, np.radians(body["placement_sd_deg"]) * rng.standard_normal(), 0.0, 0.0, 0.0])
+
+
+def _path(robot, motion, start, person, rest_rotation, rest_position, settings) -> PelvisPath:
+    # the pelvis that has the strap at rest while the robot stands at its start pose
+    rotation, position = robot.rest_middle(start)
+    pelvis = rotation @ rest_rotation.T
+    origin = position - pelvis @ rest_position
+    return pelvis_path(
+        motion, float(start[2]), pelvis, origin, person.pivot, settings["simulation"]["tail_s"]
+    )
+
+
+def _setup(p: _Synthetic, trial: str) -> Setup:
+    person = p.person
+    return Setup(
+        p.paths[trial],
+        person.rest_rotation,
+        person.rest_position,
+        person.stiffness,
+        person.damping,
+        p.controllers[trial],
+    )
+
+
+# -------------------- base trials, tangents, floors
+
+
+def _describe(world: _World, people: list[_Synthetic]) -> None:
+    """Trials without effects, and what the draws of the effects may know of them."""
+    setups = [_setup(p, trial) for p in people for trial in (TRAIN, HELD_OUT)]
+    done = iter(run(world.coarse, setups, world.stops, RATE_HZ))
+    for p in people:
+        p.base = {trial: next(done) for trial in (TRAIN, HELD_OUT)}
+        q, qd = p.base[TRAIN].q, p.base[TRAIN].qd
+        p.about = Context(
+            p.person.stiffness,
+            p.person.damping,
+            np.abs(q).max(axis=0),
+            np.abs(qd).max(axis=0),
+            _mobility(world.coarse, p.person),
+            world.coarse.masses,
+            p.person.marker_noise_m,
+            p.settings["trials"]["dynamic_s"],
+            p.settings["trials"]["quiet_s"],
+        )
+
+
+def _mobility(robot: Robot, person: Person) -> np.ndarray:
+    """Inertia (6,) that the strap feels along each axis at the start pose [kg, kg m^2]."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    mujoco.mj_forward(model, data)
+    jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jac_p, jac_r, model.site("phantom_middle").id)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    pelvis = data.body("interface").xmat.reshape(3, 3) @ person.rest_rotation.T
+    j = np.vstack([pelvis.T @ jac_p, pelvis.T @ jac_r])
+    return 1 / np.einsum("ij,jk,ik->i", j, np.linalg.inv(mass), j)
+
+
+def _linearise(world: _World, people: list[_Synthetic]) -> None:
+    """Tangents of the twelve parameters and noise floors of every case."""
+    setups = []
+    for p in people:
+        for trial in (TRAIN, HELD_OUT):
+            base = _setup(p, trial)
+            setups.append(replace(base, path=_noisy_path(world, p, trial)))
+            for stiffness, damping in perturbed(p.person.stiffness, p.person.damping):
+                setups.append(replace(base, stiffness=stiffness, damping=damping))
+    done = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
+    for p in people:
+        centres = {}
+        for trial in (TRAIN, HELD_OUT):
+            n = _samples(p)
+            base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)[:n]
+            noisy = next(done)[:n]
+            centres[trial] = {"base": base, "noisy": noisy, "tangent": [next(done)[:n] for _ in range(12)]}
+        rng = stream(world.suite, p.case.id, "floor")
+        p.refit = refit_of(centres, p.person.marker_noise_m, RATE_HZ, rng)
+
+
+def _samples(p: _Synthetic) -> int:
+    return round(p.settings["trials"]["dynamic_s"] * RATE_HZ)
+
+
+def _noisy_path(world: _World, p: _Synthetic, trial: str) -> PelvisPath:
+    t = np.arange(_samples(p)) / RATE_HZ
+    markers = pelvis_markers(p.person, p.paths[trial])(t)
+    rng = stream(world.suite, p.case.id, trial, "floor")
+    noisy = {
+        name: values + p.person.marker_noise_m * rng.standard_normal(values.shape)
+        for name, values in markers.items()
+    }
+    return _as_long(replayed_path(noisy, RATE_HZ), p.paths[trial])
+
+
+def _as_long(path: PelvisPath, other: PelvisPath) -> PelvisPath:
+    return PelvisPath(path.evaluate, other.duration_s)
+
+
+# -------------------- severity
+
+
+def _solve(world: _World, people: list[_Synthetic], say) -> None:
+    """Choose the draw of every cause and the severity that makes the gap asked for."""
+    options = world.suite["severity"]
+    jobs: list[tuple[_Synthetic, _Cause]] = [(p, c) for p in people for c in p.causes]
+    trials: list[tuple[_Synthetic, _Cause, Draw, float]] = []
+    for p, cause in jobs:
+        rng = stream(world.suite, p.case.id, cause.name, "draw")
+        cause.candidates = [cause.form.draw(rng, _about(p)) for _ in range(options["candidates"])]
+        trials += [(p, cause, draw, 1.0) for draw in cause.candidates]
+    reached = iter(_visibilities(world, trials))
+    for p, cause in jobs:
+        assert p.case.target is not None
+        cause.search = Search(p.case.target, options["tolerance"])
+        found = [next(reached) for _ in cause.candidates]
+        # the first draw that can make the gap at all, else the one that comes nearest
+        able = [i for i, rho in enumerate(found) if rho >= p.case.target]
+        pick = able[0] if able else int(np.argmax(found))
+        cause.draw = cause.candidates[pick]
+        cause.search.tell(1.0, found[pick])
+    for turn in range(options["rounds"]):
+        open_jobs = [(p, c) for p, c in jobs if c.search is not None and not c.search.done]
+        if not open_jobs:
+            break
+        asked = [(p, c, c.draw, c.search.ask()) for p, c in open_jobs if c.search is not None]
+        for (_, cause, _, severity), rho in zip(asked, _visibilities(world, asked), strict=True):
+            assert cause.search is not None
+            cause.search.tell(severity, rho)
+        say(f"severity, round {turn + 1}: {len(open_jobs)} open")
+    for _, cause in jobs:
+        assert cause.search is not None
+        cause.severity, cause.rho = cause.search.best
+
+
+def _about(p: _Synthetic) -> Context:
+    assert p.about is not None
+    return p.about
+
+
+def _visibilities(
+    world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]
+) -> list[float]:
+    """rho of each cause alone, at a severity."""
+    effects = [[(c.form, c.form.values(draw, s, _about(p)))] for p, c, draw, s in asked]
+    return _gaps(world, [p for p, *_ in asked], effects)
+
+
+Applied = list[tuple[Form, dict[str, Any]]]
+
+
+def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> list[float]:
+    """rho of each person under some effects, by coarse simulations."""
+    true_setups: dict[tuple[int, str], Setup] = {}
+    model_setups: dict[tuple[int, str], Setup] = {}
+    pairs = [(i, trial) for i in range(len(people)) for trial in (TRAIN, HELD_OUT)]
+    for i, trial in pairs:
+        if any(form.moves_truth for form, _ in effects[i]):
+            true_setups[i, trial] = _with(people[i], trial, effects[i])
+    true = _run_keys(world.coarse, world.stops, true_setups)
+    recorded: dict[tuple[int, str], Recording] = {}
+    for i, trial in pairs:
+        p = people[i]
+        paths = true.get((i, trial), p.base[trial])
+        pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
+        recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
+        if any(form.moves_model for form, _ in effects[i]):
+            model_setups[i, trial] = _as_analysed(world.coarse, p, trial, pelvis, recorded[i, trial], effects[i])
+    keys = list(model_setups)
+    centres = run_centres(world.coarse, [model_setups[k] for k in keys], world.stops, RATE_HZ)
+    replayed = dict(zip(keys, centres, strict=True))
+    out = []
+    for i, p in enumerate(people):
+        left = {}
+        n = _samples(p)
+        t = np.arange(n) / RATE_HZ
+        for trial in (TRAIN, HELD_OUT):
+            base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)
+            seen = recorded[i, trial].interface(t)
+            left[trial] = residual(seen - replayed.get((i, trial), base)[:n], RATE_HZ)
+        assert p.refit is not None
+        out.append(p.refit.visibility(left[TRAIN], left[HELD_OUT]))
+    return out
+
+
+def _run_keys(robot: Robot, stops: dict[str, Any], setups: dict[Any, Setup]) -> dict[Any, TruePaths]:
+    return dict(zip(setups, run(robot, list(setups.values()), stops, RATE_HZ), strict=True))
+
+
+def _with(p: _Synthetic, trial: str, effects: Applied) -> Setup:
+    """A trial's simulation under some effects; the strap is at rest at the start, also where its rest moved."""
+    setup = _setup(p, trial).copy()
+    for form, values in effects:
+        form.change(setup, values, trial, _about(p))
+    return setup
+
+
+def _record(p: _Synthetic, trial: str, pelvis: PelvisPath, paths: TruePaths, effects: Applied) -> Recording:
+    centres = np.stack([paths.left, paths.right], axis=1)
+    recording = Recording(
+        trial,
+        p.motions[trial].duration_s,
+        p.settings["trials"]["quiet_s"],
+        sampled(paths.time_s, centres),
+        sampled(paths.time_s, paths.interface_rotation),
+        pelvis_markers(p.person, pelvis),
+    )
+    for form, values in effects:
+        form.record(recording, values, _about(p))
+    return recording
+
+
+def _as_analysed(
+    robot: Robot, p: _Synthetic, trial: str, pelvis: PelvisPath, recorded: Recording, effects: Applied
+) -> Setup:
+    """The replay that an analysis would set up: recorded pelvis, rest pose of neutral, recorded start pose."""
+    rest_rotation, rest_position = _recorded_rest(robot, p, effects)
+    window = np.arange(round(_START_WINDOW_S * RATE_HZ)) / RATE_HZ
+    rotation, middle = interface_pose(
+        recorded.interface(window).mean(axis=0), recorded.axes(window[:1])[0][:, 2]
+    )
+    start = _joints_for(robot, rotation, middle)
+    path = pelvis
+    if any(form.stage == "input" for form, _ in effects):
+        t = np.arange(_samples(p)) / RATE_HZ
+        path = _as_long(replayed_path(recorded.pelvis(t), RATE_HZ), pelvis)
+    base = _setup(p, trial)
+    return replace(
+        base,
+        path=path,
+        rest_rotation=rest_rotation,
+        rest_position=rest_position,
+        controller=replace(base.controller, start=start),
+    )
+
+
+def _recorded_rest(robot: Robot, p: _Synthetic, effects: Applied) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of the interface in the pelvis as the neutral trial shows it, standing still."""
+    rotation, position = robot.rest_middle(p.starts["neutral"])
+    offset = rotation @ robot.side
+    still = Recording(
+        "neutral",
+        p.motions["neutral"].duration_s,
+        p.settings["trials"]["quiet_s"],
+        lambda t: np.broadcast_to(np.stack([position + offset, position - offset]), (len(t), 2, 3)),
+        lambda t: np.broadcast_to(rotation, (len(t), 3, 3)),
+        pelvis_markers(p.person, PelvisPath(lambda t: p.paths["neutral"](0.0 * t), 1.0)),
+    )
+    for form, values in effects:
+        form.record(still, values, _about(p))
+    t = np.zeros(1)
+    r_p, p_p = (x[0] for x in pelvis_pose(still.pelvis(t)))
+    r_i, p_i = interface_pose(still.interface(t)[0], still.axes(t)[0][:, 2])
+    return r_p.T @ r_i, r_p.T @ (p_i - p_p)
+
+
+def _joints_for(robot: Robot, rotation: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Robot joints (6,) that put the interface at a pose: yaw, roll and pitch turn, slides and lift move it."""
+    zero = robot.rest_middle(np.zeros(6))[0]
+    yaw, roll, pitch = Rotation.from_matrix(rotation @ zero.T).as_euler("ZXY")
+    joints = np.array([0.0, 0.0, yaw, 0.0, roll, pitch])
+    away = middle - robot.rest_middle(joints)[1]
+    joints[:2], joints[3] = away[:2], away[2]
+    return joints
+
+
+# -------------------- true trials and files
+
+
+def _applied(p: _Synthetic) -> Applied:
+    return [(c.form, c.form.values(c.draw, c.severity, _about(p))) for c in p.causes]
+
+
+def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, tuple[Recording, TruePaths]]]:
+    """True trials at the fine step, each with what is recorded of it before noise."""
+    setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in TRIALS}
+    done = _run_keys(world.fine, world.stops, setups)
+    return [
+        {
+            t: (_record(p, t, setups[i, t].path, done[i, t], _applied(p)), done[i, t])
+            for t in TRIALS
+        }
+        for i, p in enumerate(people)
+    ]
+
+
+def _write(
+    world: _World, p: _Synthetic, true: dict[str, tuple[Recording, TruePaths]], folder: Path, home: np.ndarray
+) -> dict[str, Any]:
+    settings, person = p.settings, p.person
+    notes: dict[str, Any] = {}
+    for index, trial_name in enumerate(TRIALS):
+        recording, paths = true[trial_name]
+        motion = p.motions[trial_name]
+        trial = Trial(
+            trial_name, motion, p.paths[trial_name], float(p.starts[trial_name][2]), np.zeros(3), paths
+        )
+        t = np.arange(round(motion.duration_s * RATE_HZ)) / RATE_HZ
+        centres = recording.interface(t)
+        positions = recording.pelvis(t) | {"IF_L": centres[:, 0].copy(), "IF_R": centres[:, 1].copy()}
+        clocks = exports.draw_clocks(settings, person, trial_name, index)
+        stem = folder / trial_name
+        notes[trial_name] = exports.write_trial_markers(
+            stem.with_suffix(".tsv"), settings, person, trial, positions, p.smooth_hz
+        )
+        exports.write_trial_coordinates(stem.with_suffix(".mot"), settings, person, trial, clocks)
+        exports.write_trial_log(stem.with_suffix(".mcap"), settings, person, trial, clocks, home)
+        notes[trial_name] |= {"clocks": clocks, "q_max": np.abs(paths.q).max(axis=0).tolist()}
+    facts = {"id": person.name, "phantom": True, **person.facts}
+    text = f"# {exports.NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
+    write_text(folder / "subject.yaml", text)
+    return _truth(world, p, notes)
+
+
+def _truth(world: _World, p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any]:
+    assert p.refit is not None
+    rho = None
+    if len(p.causes) == 1:
+        rho = p.causes[0].rho
+    elif p.causes:
+        rho = _gaps(world, [p], [_applied(p)])[0]
+    return {
+        "id": p.case.id,
+        "stratum": p.case.stratum,
+        "effects": [_cause_truth(p, cause) for cause in p.causes],
+        "visibility": {"target": p.case.target, "predicted": rho},
+        "floor": {TRAIN: p.refit.floor_train, HELD_OUT: p.refit.floor_held_out},
+        "parameters": {
+            name: {"value": value, "unit": UNITS[name]} for name, value in p.person.parameters.items()
+        },
+        "noise_m": p.person.marker_noise_m,
+        "smooth_hz": p.smooth_hz,
+        "held_out_regime": {"amplitude": p.regime[0], "speed": p.regime[1]},
+        "rest_pose": {
+            "rotation": p.person.rest_rotation.tolist(),
+            "position_m": p.person.rest_position.tolist(),
+        },
+        "trials": notes,
+    }
+
+
+def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
+    from real2sim.phantom.physics import AXES
+
+    form = cause.form
+    values = form.values(cause.draw, cause.severity, _about(p))
+    return {
+        "effect": form.effect,
+        "family": form.family,
+        "axes": [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on],
+        "stage": form.stage,
+        "form": form.form,
+        "parameters": form.truth(cause.draw, values),
+        "regime": form.regime,
+        "severity": cause.severity,
+        "visibility": {"target": p.case.target, "alone": cause.rho},
+    }
+
+
+__all__ = ["ARM_JOINTS", "BASE_JOINTS", "write_cases"]

@@ -87,17 +87,23 @@ class Mechanism(Protocol):
 
 @dataclass(frozen=True)
 class Where:
-    """Where an effect acts: axis indices, a side (+1, -1, or 0 for none) and a variant of its form."""
+    """Where an effect acts: axis indices, a side (+1, -1, or 0 for none), a variant of its form; and whose it is."""
 
     axes: tuple[int, ...] = ()
     side: int = 0
     variant: str = ""
+    owner: str = ""
 
     @property
     def tag(self) -> str:
         """Suffix for the names of what is built there."""
         side = {1: "_upper", -1: "_lower", 0: ""}[self.side]
         return "_".join(AXES[a] for a in self.axes) + side + self.variant
+
+    @property
+    def element(self) -> str:
+        """Ending of the names of elements in the model: no two effects share them."""
+        return f"{self.owner}_{self.tag}"
 
 
 class Fields:
@@ -145,14 +151,14 @@ class SplitSpring:
         joint = STRAP_JOINTS[where.axes[0]]
         for half in ("below", "above"):
             _tendon(
-                spec, f"{half}_{where.tag}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
+                spec, f"{half}_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
             )
 
     def set(self, fields, where, parameters, values):
         """Dead bands and stiffness of both tendons; the joint's own spring is off."""
         axis = where.axes[0]
         low, high, lower, upper = self._shape(values, where)
-        below, above = fields.tendon(f"below_{where.tag}"), fields.tendon(f"above_{where.tag}")
+        below, above = fields.tendon(f"below_{where.element}"), fields.tendon(f"above_{where.element}")
         fields["jnt_stiffness"][:, fields.joint(axis)] = 0
         fields["tendon_lengthspring"][:, below, 0], fields["tendon_lengthspring"][:, below, 1] = low, _FAR
         fields["tendon_lengthspring"][:, above, 0], fields["tendon_lengthspring"][:, above, 1] = -_FAR, high
@@ -184,7 +190,7 @@ class Elastoplastic:
         joint = STRAP_JOINTS[where.axes[0]]
         _tendon(
             spec,
-            f"yield_{where.tag}",
+            f"yield_{where.element}",
             {joint: 1.0},
             stiffness=[1, 0, 0],
             springlength=[0, 0],
@@ -194,11 +200,29 @@ class Elastoplastic:
     def set(self, fields, where, parameters, values):
         """Stiffness so that it yields at the force; never stiffer than the time step bears."""
         axis, scales = where.axes[0], fields.scales
-        index = fields.tendon(f"yield_{where.tag}")
+        index = fields.tendon(f"yield_{where.element}")
         stiffest = 0.5 * scales.inertia[axis] / scales.step**2
         deflection = np.maximum(values[:, 1], np.abs(values[:, 0]) / stiffest)
         fields["tendon_springyield"][:, index] = deflection
         fields["tendon_stiffness"][:, index] = values[:, 0] / deflection
+
+
+class DryFriction:
+    """Coulomb friction of the joint as a constraint, which sticks and slips at any time step: value (m, 1) is its force.
+
+    The constraint is made as hard as MuJoCo allows; its default lets the joint creep.
+    """
+
+    def build(self, spec, where):
+        """Friction of the joint, which has to be there when compiled."""
+        joint = spec.joint(STRAP_JOINTS[where.axes[0]])
+        joint.frictionloss = 1e-6
+        joint.solref_friction = [2.0 * spec.option.timestep, 1.0]
+        joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+
+    def set(self, fields, where, parameters, values):
+        """Write the force."""
+        fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
 
 
 class YieldingSpring:
@@ -211,7 +235,7 @@ class YieldingSpring:
     def set(self, fields, where, parameters, values):
         """Hand the stiffness over to the tendon."""
         axis = where.axes[0]
-        index = fields.tendon(f"yield_{where.tag}")
+        index = fields.tendon(f"yield_{where.element}")
         fields["jnt_stiffness"][:, fields.joint(axis)] = 0
         fields["tendon_stiffness"][:, index] = parameters[:, axis]
         fields["tendon_springyield"][:, index] = values[:, 0]
@@ -226,7 +250,7 @@ class Bristles:
     def build(self, spec, where):
         """A passive motor without an electrical side."""
         actuator = spec.add_actuator(
-            name=f"bristles_{where.tag}",
+            name=f"bristles_{where.element}",
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             target=STRAP_JOINTS[where.axes[0]],
         )
@@ -243,7 +267,7 @@ class Bristles:
     def set(self, fields, where, parameters, values):
         """Bristle stiffness so that it slips at the deflection, bristles damped half critically for the step."""
         axis, scales = where.axes[0], fields.scales
-        index = fields.model.actuator(f"bristles_{where.tag}").id
+        index = fields.model.actuator(f"bristles_{where.element}").id
         force, excess, deflection, rate = values.T
         stiffness = np.minimum(np.abs(force) / deflection, 0.5 * scales.inertia[axis] / scales.step**2)
         fields["actuator_dynprm"][:, index, 5] = stiffness
@@ -261,7 +285,7 @@ class Maxwell:
 
     def build(self, spec, where):
         """Hidden slide and tendon."""
-        name = f"maxwell_{where.tag}"
+        name = f"maxwell_{where.element}"
         body = spec.worldbody.add_body(
             name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
         )
@@ -271,7 +295,7 @@ class Maxwell:
 
     def set(self, fields, where, parameters, values):
         """Stiffness, damping, and an inertia that the step bears and nobody notices."""
-        name = f"maxwell_{where.tag}"
+        name = f"maxwell_{where.element}"
         dof = int(fields.model.joint(name).dofadr[0])
         stiffness, damping = values[:, 0], values[:, 0] * values[:, 1]
         fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
@@ -293,12 +317,14 @@ class Coupling:
         """Both tendons."""
         a, b = (STRAP_JOINTS[i] for i in where.axes)
         for sign, name in ((1.0, "sum"), (-1.0, "difference")):
-            _tendon(spec, f"{name}_{where.tag}", {a: 1.0, b: sign}, stiffness=[1, 0, 0], springlength=[0, 0])
+            _tendon(
+                spec, f"{name}_{where.element}", {a: 1.0, b: sign}, stiffness=[1, 0, 0], springlength=[0, 0]
+            )
 
     def set(self, fields, where, parameters, values):
         """Half the value on each, with opposite signs."""
         for sign, name in ((1, "sum"), (-1, "difference")):
-            index = fields.tendon(f"{name}_{where.tag}")
+            index = fields.tendon(f"{name}_{where.element}")
             fields["tendon_stiffness"][:, index] = 0
             fields[self._field][:, index] = sign * values[:, 0] / 2
 
@@ -335,11 +361,11 @@ class Stop:
     def build(self, spec, where):
         """One tendon."""
         joint = STRAP_JOINTS[where.axes[0]]
-        _tendon(spec, f"stop_{where.tag}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR])
+        _tendon(spec, f"stop_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR])
 
     def set(self, fields, where, parameters, values):
         """Its free side is the dead band."""
-        index, axis = fields.tendon(f"stop_{where.tag}"), where.axes[0]
+        index, axis = fields.tendon(f"stop_{where.element}"), where.axes[0]
         end = 1 if where.side > 0 else 0
         fields["tendon_lengthspring"][:, index, end] = where.side * values[:, 0]
         stiffest = 0.5 * fields.scales.inertia[axis] / fields.scales.step**2
@@ -552,12 +578,12 @@ class Effect:
     def places(self) -> list[Where]:
         """Everywhere that it can act."""
         if self.scope == "axis":
-            return [Where((axis,), variant=self.form) for axis in range(6)]
+            return [Where((axis,), 0, self.form, self.name) for axis in range(6)]
         if self.scope == "side":
-            return [Where((axis,), side, self.form) for axis in range(6) for side in (1, -1)]
+            return [Where((axis,), side, self.form, self.name) for axis in range(6) for side in (1, -1)]
         if self.scope == "pair":
-            return [Where(pair, variant=self.form) for pair in combinations(range(6), 2)]
-        return [Where(variant=self.form)]
+            return [Where(pair, 0, self.form, self.name) for pair in combinations(range(6), 2)]
+        return [Where((), 0, self.form, self.name)]
 
 
 @dataclass(frozen=True)
@@ -719,13 +745,10 @@ EFFECTS: tuple[Effect, ...] = (
         "coulomb",
         "interface",
         "F = Fc sgn(qdot)",
-        (
-            _FRICTION,
-            EffectParameter("deflection", "m|rad", 0.0099, 0.0101, (0.01,), _q, log=True),
-        ),
+        (_FRICTION,),
         "friction",
         "slow ramps and reversals at several speeds",
-        plant=Elastoplastic(),
+        plant=DryFriction(),
     ),
     Effect(
         "lugre",

@@ -9,7 +9,7 @@ band of frequency and over all channels at once. After that a sum of squares is 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -32,6 +32,9 @@ from real2sim.identification.trial import Trial, load_limits, load_trial
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
 MARKER_FLOOR_M = 5e-5
 ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
+# The pelvis path is never smoothed below this; noise is never taken as smaller than that
+LOWEST_CUTOFF_HZ = 3.0
+SMALLEST_NOISE_M = 2e-5
 # A spike stands out of what is faster than the cut-off by so many SD; the low-pass of the ingest smears it so far
 SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_SMEAR_S = 4.0, 7.0, 0.08
 # Band edges [Hz] within which the noise is taken as equal
@@ -75,6 +78,8 @@ class Evidence:
     limits: JointLimits | None
     drive: PelvisDrive
     coordinates: np.ndarray
+    marker_sd: dict[str, np.ndarray]
+    pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
 
@@ -158,14 +163,11 @@ class Evidence:
             out[:, band == b] = coefficients[:, band == b] @ matrix.T
         return out.reshape(len(error), -1)
 
-    def set_noise(self, sd: dict[str, np.ndarray], parameters: np.ndarray, draws: int, seed: int) -> None:
-        """Whiten by noise simulated through the plant with plain strap ``parameters`` (12,).
-
-        ``sd`` holds per marker the SD (3,) [m] of the raw noise.
-        """
+    def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
+        """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         rng = np.random.default_rng(seed)
         n = len(self.trial.time_s)
-        self.noise = error = self._noise(sd, parameters, draws, rng)
+        self.noise = error = self._noise(parameters, draws, rng)
         floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
         band = self.band_of(n)
@@ -176,17 +178,14 @@ class Evidence:
             whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.whiteners = np.array(whiteners)
 
-    def _noise(
-        self, sd: dict[str, np.ndarray], parameters: np.ndarray, draws: int, rng: np.random.Generator
-    ) -> np.ndarray:
+    def _noise(self, parameters: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
         """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
         trial, settings = self.trial, self.settings["ingest"]
         n, rate = len(trial.time_s), settings["rate_hz"]
 
-        def filtered(names: tuple[str, ...]) -> np.ndarray:
-            white = rng.standard_normal((n, len(names), 3)) * np.array([sd[name] for name in names])
-            flat = white.reshape(n, -1)
-            return signals.lowpass(flat, rate, settings["cutoff_hz"], settings["filter_order"]).reshape(
+        def filtered(names: tuple[str, ...], cutoff_hz: float) -> np.ndarray:
+            white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
+            return signals.lowpass(white.reshape(n, -1), rate, cutoff_hz, settings["filter_order"]).reshape(
                 white.shape
             )
 
@@ -196,11 +195,11 @@ class Evidence:
         start = self.context.start
         markers = np.empty((draws, n, 2, 3))
         for i in range(draws):
-            r, p = pelvis_frame(*(clean + np.moveaxis(filtered(PELVIS_MARKERS), 1, 0)))
+            r, p = pelvis_frame(*(clean + np.moveaxis(filtered(PELVIS_MARKERS, self.pelvis_cutoff_hz), 1, 0)))
             turn = np.einsum("nij,nkj->nik", r, r_clean)
             rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
             replay.set_command(i + 1, replay.command_for(rotation, position))
-            own = filtered(INTERFACE_MARKERS)
+            own = filtered(INTERFACE_MARKERS, settings["cutoff_hz"])
             markers[i] = own - own[:start].mean(axis=0)
         paths, joints = replay.run_effects(np.tile(parameters, (draws + 1, 1)), [])
         error = (paths[1:] - paths[:1] - markers).reshape(draws, n, 6)
@@ -221,6 +220,40 @@ def spikes(markers: np.ndarray, rate_hz: float) -> np.ndarray:
     return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
 
 
+def smoothed_pelvis(
+    trial: Trial, sd: dict[str, np.ndarray], rate_hz: float, cutoff_hz: float
+) -> tuple[Trial, float]:
+    """The trial with its pelvis path low-passed to what stands out of the noise, and the cut-off [Hz].
+
+    Noise of the replayed pelvis shakes loose what friction holds: a law with memory sees another motion than the
+    person made. Above the cut-off none of the six pelvis coordinates has three times the power of its noise.
+    """
+    position, vectors = bridged(trial.pelvis_position), _vectors(trial.pelvis_rotation)
+    rigid = _rigid_markers(trial)
+    rng = np.random.default_rng(0)
+    white = np.stack([rng.standard_normal(rigid.shape[1:]) * sd[name] for name in PELVIS_MARKERS])
+    clean, shaken = pelvis_frame(*rigid), pelvis_frame(*(rigid + white))
+    turn = np.einsum("nji,njk->nik", clean[0], shaken[0])
+    known = np.isfinite(turn).all(axis=(1, 2))
+    noise = np.hstack([(shaken[1] - clean[1])[known], Rotation.from_matrix(turn[known]).as_rotvec()])
+    power = dct(np.hstack([position, vectors]), axis=0, norm="ortho") ** 2
+    frequency = np.arange(len(power)) * rate_hz / (2 * len(power))
+    width = max(6, int(2 * len(power) / rate_hz))  # one hertz
+    mean = np.stack([np.convolve(row, np.ones(width) / width, "same") for row in power.T], axis=1)
+    loud = (mean > 3 * noise.var(axis=0)).any(axis=1) & (frequency < cutoff_hz)
+    last = float(frequency[loud].max()) if loud.any() else LOWEST_CUTOFF_HZ
+    chosen = float(np.clip(1.25 * last, LOWEST_CUTOFF_HZ, cutoff_hz))
+    if chosen >= cutoff_hz:
+        return trial, cutoff_hz
+    lost = ~np.isfinite(trial.pelvis_position).all(axis=1)
+    position = signals.lowpass(position, rate_hz, chosen, 4)
+    vectors = signals.lowpass(vectors, rate_hz, chosen, 4)
+    first = trial.pelvis_rotation[np.argmax(np.isfinite(trial.pelvis_rotation).all(axis=(1, 2)))]
+    rotation = first @ Rotation.from_rotvec(vectors).as_matrix()
+    position[lost], rotation[lost] = np.nan, np.nan
+    return replace(trial, pelvis_position=position, pelvis_rotation=rotation), chosen
+
+
 def _rigid_markers(trial: Trial) -> np.ndarray:
     """Pelvis markers (4, n, 3) [m, world] as a rigid body on the measured pose: there also where one was lost."""
     rotation, position = trial.pelvis_rotation, trial.pelvis_position
@@ -235,6 +268,7 @@ def load_evidence(
     limits: Path | None,
     robot: Path,
     settings: dict,
+    sd: dict[str, np.ndarray],
 ) -> Evidence:
     """Evidence of one trial from its canonical tables, not whitened yet.
 
@@ -246,6 +280,8 @@ def load_evidence(
         Joint limits of the person; None lets the strap's joints go anywhere.
     settings
         Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
+    sd
+        Raw noise (3,) [m] of each marker, see `marker_noise`.
     """
     ident = settings["identification"]
     trial = load_trial(
@@ -254,7 +290,8 @@ def load_evidence(
         start_window_s=ident["start_window_s"],
         settle_s=ident["settle_after_gap_s"],
     )
-    n = len(trial.time_s)
+    n, rate = len(trial.time_s), settings["ingest"]["rate_hz"]
+    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     measured = robot_motion(folder / "robot.parquet", n, start)
     h = float(settings["plant"]["timestep_s"])
@@ -271,16 +308,15 @@ def load_evidence(
         start,
         100.0,
         trial.interface,
-        spikes(trial.interface, 1 / float(trial.time_s[1] - trial.time_s[0])),
+        spikes(trial.interface, rate),
     )
-    rate = 1 / float(trial.time_s[1] - trial.time_s[0])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones, h)
-    return Evidence(trial, measured, context, scales, cost, settings, robot, known, drive, q)
+    return Evidence(trial, measured, context, scales, cost, settings, robot, known, drive, q, sd, cutoff)
 
 
 def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
@@ -331,18 +367,34 @@ def bridged(values: np.ndarray) -> np.ndarray:
     return out
 
 
+def _vectors(rotation: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) from the first known of rotations (n, 3, 3), unknown ones bridged."""
+    known = np.isfinite(rotation).all(axis=(1, 2))
+    vectors = np.full((len(rotation), 3), np.nan)
+    vectors[known] = Rotation.from_matrix(rotation[np.argmax(known)].T @ rotation[known]).as_rotvec()
+    return bridged(vectors)
+
+
 def bridged_rotation(rotation: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) with unknown samples bridged along the rotation vector from the first known one."""
-    known = np.isfinite(rotation).all(axis=(1, 2))
-    first = rotation[np.argmax(known)]
-    vectors = np.full((len(rotation), 3), np.nan)
-    vectors[known] = Rotation.from_matrix(first.T @ rotation[known]).as_rotvec()
-    return first @ Rotation.from_rotvec(bridged(vectors)).as_matrix()
+    first = rotation[np.argmax(np.isfinite(rotation).all(axis=(1, 2)))]
+    return first @ Rotation.from_rotvec(_vectors(rotation)).as_matrix()
 
 
-def marker_noise(quality: dict) -> dict[str, np.ndarray]:
-    """SD (3,) [m] of the raw noise per marker, from a trial's quality.json."""
-    return {
-        name: np.array(quality["markers"][name]["noise_sd_m"])
-        for name in (*PELVIS_MARKERS, *INTERFACE_MARKERS)
-    }
+def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
+    """SD (3,) [m] per marker of the white noise that quiet standing shows between 2 and 6 Hz.
+
+    Below, the person sways; above, nobody knows who has filtered the export already. ``markers`` is markers.parquet
+    of the neutral trial.
+    """
+    table = pq.read_table(markers)
+    out = {}
+    for name in (*PELVIS_MARKERS, *INTERFACE_MARKERS):
+        path = bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
+        n = len(path)
+        line = np.linspace(path[0], path[-1], n)
+        power = dct(path - line, axis=0, norm="ortho") ** 2
+        frequency = np.arange(n) * rate_hz / (2 * n)
+        inside = (frequency > 2) & (frequency < 6)
+        out[name] = np.sqrt(np.maximum(power[inside].mean(axis=0), SMALLEST_NOISE_M**2))
+    return out

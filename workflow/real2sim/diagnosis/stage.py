@@ -44,15 +44,17 @@ def prepare(
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     options = settings["diagnosis"]
     folders = (train, held_out)
-    evidence = [load_evidence(folder=f, limits=limits, robot=robot, settings=settings) for f in folders]
+    noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    evidence = [
+        load_evidence(folder=f, limits=limits, robot=robot, settings=settings, sd=noise) for f in folders
+    ]
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
-    standing = marker_noise(read_json(neutral / "quality.json", ("markers",)))
     for item, folder in zip(evidence, folders, strict=True):
         item.scales = scales
         describe_reaction(item, folder, np.exp(z))
-        item.set_noise(standing, np.exp(z), options["noise_draws"], options["search"]["seed"])
+        item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
     return Pair(evidence[0], evidence[1], bounds), z
 
 

@@ -163,9 +163,7 @@ class Slack(StrapForm):
         return {"half_width": draw.axes * severity * most}
 
     def change(self, setup, values, trial, about):
-        setup.terms.append(
-            (self.term, {"half_width": values["half_width"], "stiffness": about.stiffness})
-        )
+        setup.terms.append((self.term, {"half_width": values["half_width"], "stiffness": about.stiffness}))
 
 
 @register

@@ -346,9 +346,9 @@ class SeriesCompliance(RobotTerm):
 
     def __call__(self, step, joint_force, body_force):
         decay = np.exp(-self.step_s / self.tau)[:, None]
-        self.held = self.held * decay + self.branch * self.tau[:, None] * (1 - decay) * step.rates[
-            self.rows, :3
-        ]
+        self.held = (
+            self.held * decay + self.branch * self.tau[:, None] * (1 - decay) * step.rates[self.rows, :3]
+        )
         joint_force[self.rows, :3] -= self.held
 
 

@@ -57,7 +57,10 @@ def _batch(robot: Robot, setups: list[Setup], stops: dict[str, Any]) -> dict[str
     ]
     n = len(setups)
     law = EffectLaw(
-        *(np.array([getattr(s, name) for s in setups]) for name in ("stiffness", "damping", "lower", "upper")),
+        *(
+            np.array([getattr(s, name) for s in setups])
+            for name in ("stiffness", "damping", "lower", "upper")
+        ),
         np.array(stops["stiffness"]),
         np.array(stops["damping"]),
         *(np.array([getattr(s, name) for s in setups]) for name in ("rest_rotation", "rest_position")),

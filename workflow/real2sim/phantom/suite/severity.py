@@ -98,9 +98,7 @@ def refit_of(
         r = residual(noise - (runs["noisy"] - base), rate_hz)
         floors[trial] = float(r @ r)
     duration = len(centres[TRAIN]["base"]) / rate_hz
-    return Refit(
-        tangents[TRAIN], tangents[HELD_OUT], floors[TRAIN], floors[HELD_OUT], duration
-    )
+    return Refit(tangents[TRAIN], tangents[HELD_OUT], floors[TRAIN], floors[HELD_OUT], duration)
 
 
 def perturbed(stiffness: np.ndarray, damping: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -90,9 +90,7 @@ def write_cases(
     def say(what: str) -> None:
         print(f"  {time.perf_counter() - begun:5.1f} s  {what}", flush=True)
 
-    coarse, fine = (
-        Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"])
-    )
+    coarse, fine = (Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"]))
     people = [_synthesise(suite, case, settings, controllers, fine) for case in plan]
     world = _World(suite, settings, coarse, fine)
     _describe(world, people)
@@ -350,9 +348,7 @@ def _about(p: _Synthetic) -> Context:
     return p.about
 
 
-def _visibilities(
-    world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]
-) -> list[float]:
+def _visibilities(world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]) -> list[float]:
     """rho of each cause alone, at a severity."""
     effects = [[(c.form, c.form.values(draw, s, _about(p)))] for p, c, draw, s in asked]
     return _gaps(world, [p for p, *_ in asked], effects)
@@ -377,7 +373,9 @@ def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> li
         pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
         recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
         if any(form.moves_model for form, _ in effects[i]):
-            model_setups[i, trial] = _as_analysed(world.coarse, p, trial, pelvis, recorded[i, trial], effects[i])
+            model_setups[i, trial] = _as_analysed(
+                world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
+            )
     keys = list(model_setups)
     centres = run_centres(world.coarse, [model_setups[k] for k in keys], world.stops, RATE_HZ)
     replayed = dict(zip(keys, centres, strict=True))
@@ -488,10 +486,7 @@ def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, tuple[R
     setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in TRIALS}
     done = _run_keys(world.fine, world.stops, setups)
     return [
-        {
-            t: (_record(p, t, setups[i, t].path, done[i, t], _applied(p)), done[i, t])
-            for t in TRIALS
-        }
+        {t: (_record(p, t, setups[i, t].path, done[i, t], _applied(p)), done[i, t]) for t in TRIALS}
         for i, p in enumerate(people)
     ]
 

@@ -86,11 +86,11 @@ def test_refused_trial_is_held_back_unless_overridden_by_name(folder, tmp_path):
     strict["excitation"]["warn"] = 100.0
     _run(folder, tmp_path / "a", **strict)
     with pytest.raises(InputError, match="excitation") as error:
-        require(tmp_path / "a" / "dynamic_1.json", "dynamic_1")
+        require([tmp_path / "a" / "dynamic_1.json"], "dynamic_1")
     assert "S01/dynamic_1" in error.value.remedy
-    assert require(tmp_path / "a" / "rotation_T10.json", "rotation_T10") == []
+    assert require([tmp_path / "a" / "rotation_T10.json"], "rotation_T10") == {}
     _run(folder, tmp_path / "b", **strict, override={"S01/dynamic_1": "pilot"})
-    assert require(tmp_path / "b" / "dynamic_1.json", "dynamic_1") == ["excitation"]
+    assert require([tmp_path / "b" / "dynamic_1.json"], "dynamic_1") == {"S01/dynamic_1": ["excitation"]}
     assert (tmp_path / "a" / "dynamic_2.json").read_bytes() == (
         tmp_path / "b" / "dynamic_2.json"
     ).read_bytes()
@@ -122,7 +122,7 @@ def test_file_of_another_trial_is_refused(tmp_path):
     path = tmp_path / "dynamic_1.json"
     path.write_text(json.dumps({"subject": "S01", "trial": "dynamic_2", "refused": [], "override": None}))
     with pytest.raises(InputError, match="dynamic_2"):
-        require(path, "dynamic_1")
+        require([path], "dynamic_1")
 
 
 def test_verdict_by_size():

@@ -336,12 +336,13 @@ def _drift_gate(
         return _gate(gate, None, "ppm", settings, "too little motion", "")
     candidates = []
     if pooled is not None:
-        candidates.append((pooled.value, pooled.sd, f"pooled over {pooled.trials} trials of the session"))
+        source = f"pooled over {pooled.trials} trials of the session"
+        candidates.append((pooled.value, pooled.sd, limits["pooled_certainty_sd"], source))
     if own is not None and np.isfinite(own.drift_sd):
-        candidates.append((own.drift, own.drift_sd, "of this trial alone"))
+        candidates.append((own.drift, own.drift_sd, limits["certainty_sd"], "of this trial alone"))
     judged = []
-    for value, sd, source in candidates:
-        sure = abs(value) > limits["certainty_sd"] * sd
+    for value, sd, certainty, source in candidates:
+        sure = abs(value) > certainty * sd
         judged.append(
             (
                 by_size(1e6 * abs(value), [limits["warn"], limits["refuse"]]) if sure else PASS,

@@ -1,6 +1,6 @@
 """Injected faults on phantom trials: what the gates see, what they miss, how well clocks are estimated.
 
-    python benchmarks/faults.py [--cases 200] [--people S01 S02 S03] [--clean-seeds 3]
+    python benchmarks/faults.py [--cases 200] [--people S01 S02 S03] [--clean-seeds 1 2 3]
 
 Faults are injected into the recordings as the readers return them; the truth comes from the phantom's sealed files.
 Prints, per kind of fault, the detected share with its Wilson interval; false alarms on clean trials, also of phantoms
@@ -334,17 +334,24 @@ def false_alarms(people: list[People]) -> tuple[list[str], int]:
     return alarms, count
 
 
-def clean_of_other_seeds(names: list[str], phantom: dict[str, Any], seeds: int) -> tuple[list[str], int]:
-    """Alarms and count of clean trials of the same people drawn anew, ``seeds`` times."""
-    alarms, count = [], 0
-    for k in range(1, seeds + 1):
+def clean_of_other_seeds(
+    names: list[str], phantom: dict[str, Any], seeds: list[int]
+) -> tuple[list[str], int, list[tuple[float, float]]]:
+    """Alarms and count of clean trials of the same people drawn anew, ``seeds`` on; errors of the pooled drift."""
+    alarms, count, drifts = [], 0, []
+    for k in seeds:
         for name in names:
             with tempfile.TemporaryDirectory() as scratch:
                 simulate(Path(scratch), [name], phantom | {"seed": phantom["seed"] + k})
-                some, more = false_alarms([load(Path(scratch) / "raw", Path(scratch) / "sealed", name)])
+                person = load(Path(scratch) / "raw", Path(scratch) / "sealed", name)
+            some, more = false_alarms([person])
+            pooled = session_of(list(person.measured.values())).markerless_drift
+            if pooled is not None:
+                own = next(iter(person.clocks.values()))["markerless_drift"]
+                drifts.append((pooled.value + own, pooled.sd))
             alarms += [f"phantom seed +{k}: {alarm}" for alarm in some]
             count += more
-    return alarms, count
+    return alarms, count, drifts
 
 
 # -------------------- what the clocks hold
@@ -488,7 +495,9 @@ def main() -> None:
     )
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--people", nargs="+", default=["S01", "S02", "S03"])
-    parser.add_argument("--clean-seeds", type=int, default=0, help="phantoms of other seeds, clean only")
+    parser.add_argument(
+        "--clean-seeds", type=int, nargs="*", default=[], help="phantoms so many seeds on, clean only"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the faults")
     options = parser.parse_args()
     start = time.monotonic()
@@ -498,8 +507,11 @@ def main() -> None:
         simulate(Path(scratch), options.people, phantom)
         people = [load(Path(scratch) / "raw", Path(scratch) / "sealed", name) for name in options.people]
     alarms, clean = false_alarms(people)
-    more, count = clean_of_other_seeds(options.people, phantom, options.clean_seeds)
+    more, count, drifts = clean_of_other_seeds(options.people, phantom, options.clean_seeds)
     report(run(people, options.cases, options.seed), alarms + more, clean + count)
+    if drifts:
+        print(f"markerless drift pooled over {len(drifts)} clean sessions of other seeds:")
+        print(_errors(drifts, 1e6, 5.0, "ppm"))
     report_clocks(*clock_errors(people, phantom), people)
     print(f"{time.monotonic() - start:.0f} s")
 

@@ -15,6 +15,7 @@ from real2sim.quality import clocks, markers
 from real2sim.quality.gates import bandwidth_hz, noise_cost, reversals
 from real2sim.quality.stage import quality_subject, quality_table
 from real2sim.quality.verdict import by_size, require
+from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
 
@@ -148,6 +149,53 @@ def test_noise_cost_is_quadratic_and_near_the_band_limited_value():
     one, two = (noise_cost(sd, SETTINGS["ingest"], SETTINGS["scales"]) for sd in (0.5e-3, 1e-3))
     assert two == pytest.approx(4 * one)
     assert 0.03 < one < 0.12
+
+
+def _pelvis(n: int, slide_m_per_rad: float) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Six markers of a person who turns by 60 degrees to either side, one ASIS sliding with the skin; rotations."""
+    body = np.array(
+        [[0, 0.13, 1], [0, -0.13, 1], [-0.16, 0.045, 1], [-0.16, -0.045, 1], [0.1, 0.17, 1], [0.1, -0.17, 1]]
+    )
+    yaw = np.radians(60) * np.sin(np.linspace(0, 4 * np.pi, n))
+    r = Rotation.from_euler("z", yaw[:, None]).as_matrix()
+    points = np.repeat(body[None], n, axis=0)
+    points[:, 0, 1] += slide_m_per_rad * yaw
+    points = np.einsum("nij,nkj->nki", r, points)
+    return {name: points[:, i] for i, name in enumerate(markers.MARKERS)}, r
+
+
+def test_sliding_skin_is_neither_a_swap_nor_a_moved_marker():
+    still, _ = _pelvis(50, 0.0)
+    reference = markers.reference_distances({name: values[:1] for name, values in still.items()})
+    positions, rotation = _pelvis(1500, 0.045)
+    off = markers.departures(positions, reference)
+    assert np.abs(off).max() > 0.04
+    assert np.abs(off - markers.skin(off, rotation)).max() < 0.005
+    assert markers.find_swaps(positions, reference, **CONFIG["ingest"]["swap"]) == []
+    # a marker that was moved stays visible, and so does an exchange that nothing repairs
+    moved = positions | {"PSIS_L": positions["PSIS_L"] + np.einsum("nij,j->ni", rotation, [0.0, 0.06, 0.0])}
+    off = markers.departures(moved, reference)
+    assert np.percentile(np.abs(off - markers.skin(off, rotation)), 99, axis=0).max() > 0.03
+    exchanged = markers.repaired(positions, [markers.Swap("ASIS_L", "PSIS_L", 300, 500)])
+    off = markers.departures(exchanged, reference)
+    assert np.percentile(np.abs(off - markers.skin(off, rotation)), 99, axis=0).max() > 0.03
+
+
+def test_swap_on_sliding_skin_is_still_exchanged_back():
+    still, _ = _pelvis(50, 0.0)
+    reference = markers.reference_distances({name: values[:1] for name, values in still.items()})
+    positions, _ = _pelvis(1500, 0.01)
+    swap = markers.Swap("ASIS_R", "IF_R", 600, 700)
+    found = markers.find_swaps(markers.repaired(positions, [swap]), reference, **CONFIG["ingest"]["swap"])
+    assert found == [swap]
+
+
+def test_few_seconds_ask_for_more_standard_errors():
+    fits = [
+        clocks.ClockFit(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3), n) for n in (12, 30, 10_000)
+    ]
+    certain = [fit.certainty(4.0) for fit in fits]
+    assert certain[0] > certain[1] > certain[2] == pytest.approx(4.0, abs=0.01)
 
 
 def test_spikes_and_gaps_are_found():

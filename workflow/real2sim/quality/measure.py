@@ -81,6 +81,7 @@ class Measured:
     swaps: list[markers.Swap]
     spikes: dict[str, int]
     departures: np.ndarray  # (n, 7) after swaps and spikes
+    skin: np.ndarray  # (n, 7) what sliding skin explains of them
     noise_m: dict[str, float]
     spacing: dict[str, tuple[float, float]] = field(default_factory=dict)  # SD [s], longest gap [s] by system
     robot: Robot | None = None
@@ -106,6 +107,9 @@ def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict
     cloud = np.concatenate(list(used.values()))
     seen = cloud[signals.known(cloud)]
     extent = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    pelvis = _pelvis_path(time_s, clean, rate, ingest)
+    departures = markers.departures(clean, reference)
+    rotation = np.full((frames, 3, 3), np.nan) if pelvis is None else pelvis.rotation
     out = Measured(
         trial.name,
         trial.kind,
@@ -116,10 +120,10 @@ def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict
         markers.find_gaps(used),
         swaps,
         {name: len(rows) for name, rows in found.items()},
-        markers.departures(clean, reference),
+        departures,
+        markers.skin(departures, rotation),
         {name: markers.noise_sd(values) for name, values in clean.items()},
     )
-    pelvis = _pelvis_path(time_s, clean, rate, ingest)
     if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
         out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
         out.robot = _robot(trial.log, time_s, clean, ingest)

@@ -13,6 +13,7 @@ from real2sim.errors import InputError
 from real2sim.figures.quality import quality_figure
 from real2sim.quality import clocks, markers
 from real2sim.quality.gates import bandwidth_hz, noise_cost, reversals
+from real2sim.quality.measure import _robot_clock
 from real2sim.quality.stage import quality_subject, quality_table
 from real2sim.quality.verdict import by_size, require
 from scipy.spatial.transform import Rotation
@@ -67,6 +68,14 @@ def test_fault_is_seen(person, kind):
 def test_markerless_drift_lies_in_its_interval(person):
     error, sd = faults.drift_markerless(person, np.random.default_rng(5)).drift
     assert abs(error) < 4 * sd
+
+
+def test_robot_clock_that_starts_a_stride_off_finds_back(person):
+    trial = person.raw["walk_robot_1"]
+    truth = person.clocks["walk_robot_1"]["robot_start_s"]
+    for off in (-1.2, 1.2):
+        fit = _robot_clock(trial.recording.time_s, trial.recording.positions, trial.log, [truth + off])
+        assert abs(fit.offset_s - fit.drift * fit.middle_s - truth) < 1e-3
 
 
 def _run(folder, out, **quality):

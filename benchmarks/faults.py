@@ -1,15 +1,17 @@
 """Injected faults on phantom trials: what the gates see, what they miss, how well clocks are estimated.
 
-    python benchmarks/faults.py [--cases 200] [--people S01 S02 S03] [--raw results/phantom/raw] [--sealed ...]
+    python benchmarks/faults.py [--cases 200] [--people S01 S02 S03] [--clean-seeds 1 2 3]
 
 Faults are injected into the recordings as the readers return them; the truth comes from the phantom's sealed files.
-Prints, per kind of fault, the detected share with its Wilson interval; false alarms on clean trials; errors of offset
-and drift beside the standard error that the data allow. Without --raw the people are simulated first (10 s each).
+Prints, per kind of fault, the detected share with its Wilson interval; false alarms on clean trials, also of phantoms
+of other seeds; errors of offset and drift beside the standard error that the data allow, and beside the Cramer-Rao
+bound of the markerless clock (benchmarks/clock_bounds.py). The people are simulated first (10 s each).
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import os
 import sys
@@ -23,11 +25,12 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "workflow"))
+sys.path[:0] = [str(ROOT / "workflow"), str(ROOT)]
 
 import numpy as np
 from real2sim.configuration import read_yaml, validated
-from real2sim.formats.recordings import MarkerRecording
+from real2sim.formats.detect import read_markerless
+from real2sim.formats.recordings import CoordinateRecording, MarkerRecording
 from real2sim.phantom.cohort import write_subject
 from real2sim.phantom.plan import planned_files
 from real2sim.quality import markers
@@ -38,6 +41,8 @@ from real2sim.quality.verdict import Gate
 from real2sim.subjects import read_subject
 from scipy.spatial.transform import Rotation
 from statsmodels.stats.proportion import proportion_confint
+
+from benchmarks import clock_bounds
 
 CONFIG = validated({}, "config", Path("defaults"))
 MOVING = ("dynamic", "rotation", "translation", "walk_robot")
@@ -53,6 +58,7 @@ class People:
     raw: dict[str, RawTrial]
     clocks: dict[str, dict[str, float]]
     reference: np.ndarray
+    marker_sd_m: float
     measured: dict[str, Measured] = field(default_factory=dict)
 
 
@@ -90,7 +96,7 @@ def load(raw: Path, sealed: Path, name: str) -> People:
     truth = json.loads((sealed / f"{name}.json").read_text())
     clocks = {trial: truth["trials"][trial]["clocks"] for trial in trials}
     reference = markers.reference_distances(trials["neutral"].recording.positions)
-    out = People(name, trials, clocks, reference)
+    out = People(name, trials, clocks, reference, truth["marker_noise_sd_m"])
     out.measured = {trial: _measure(out, one) for trial, one in trials.items()}
     return out
 
@@ -328,6 +334,121 @@ def false_alarms(people: list[People]) -> tuple[list[str], int]:
     return alarms, count
 
 
+def clean_of_other_seeds(
+    names: list[str], phantom: dict[str, Any], seeds: list[int]
+) -> tuple[list[str], int, list[tuple[float, float]]]:
+    """Alarms and count of clean trials of the same people drawn anew, ``seeds`` on; errors of the pooled drift."""
+    alarms, count, drifts = [], 0, []
+    for k in seeds:
+        for name in names:
+            with tempfile.TemporaryDirectory() as scratch:
+                simulate(Path(scratch), [name], phantom | {"seed": phantom["seed"] + k})
+                person = load(Path(scratch) / "raw", Path(scratch) / "sealed", name)
+            some, more = false_alarms([person])
+            pooled = session_of(list(person.measured.values())).markerless_drift
+            if pooled is not None:
+                own = next(iter(person.clocks.values()))["markerless_drift"]
+                drifts.append((pooled.value + own, pooled.sd))
+            alarms += [f"phantom seed +{k}: {alarm}" for alarm in some]
+            count += more
+    return alarms, count, drifts
+
+
+# -------------------- what the clocks hold
+
+
+@dataclass
+class ClockError:
+    """Errors of one clean trial's estimate [s, s/s] with the reported standard errors, and the bounds."""
+
+    person: str
+    kind: str
+    error: tuple[float, float]
+    sd: tuple[float, float]
+    known: clock_bounds.Bound | None = None
+    bound: clock_bounds.Bound | None = None
+
+
+def clock_errors(people: list[People], phantom: dict[str, Any]) -> tuple[list[ClockError], list[ClockError]]:
+    """Errors of the clean trials' robot and markerless clocks; the latter with its Cramer-Rao bounds."""
+    robot, markerless = [], []
+    noise = phantom["measurement"]["markerless_noise"]
+    for person in people:
+        with tempfile.TemporaryDirectory() as scratch:
+            simulate(Path(scratch), [person.name], clock_bounds.noiseless(copy.deepcopy(phantom)))
+            for name, m in person.measured.items():
+                own = person.clocks[name]
+                fit = m.robot.clock if m.robot else None
+                if fit is not None and m.kind != "neutral":
+                    error = fit.offset_s - fit.drift * fit.middle_s - own["robot_start_s"]
+                    sd = float(np.hypot(fit.offset_sd_s, fit.drift_sd * fit.middle_s))
+                    robot.append(ClockError(person.name, m.kind, (error, fit.drift), (sd, fit.drift_sd)))
+                fit = m.markerless.clock if m.markerless else None
+                if fit is None:
+                    continue
+                record = read_markerless(Path(scratch) / "raw" / person.name / f"{name}.mot")
+                assert isinstance(record, CoordinateRecording)
+                bounds = [
+                    clock_bounds.bound(record, noise, person.marker_sd_m, known=k) for k in (True, False)
+                ]
+                error = fit.offset_s - _markerless_truth(own, fit.middle_s)
+                drift = fit.drift + own["markerless_drift"]
+                sds = fit.offset_sd_s, fit.drift_sd
+                markerless.append(ClockError(person.name, m.kind, (error, drift), sds, *bounds))
+    return robot, markerless
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def report_clocks(robot: list[ClockError], markerless: list[ClockError], people: list[People]) -> None:
+    """Print, per kind of trial and pooled per person, errors beside what an efficient estimate would have."""
+    print("clocks of the clean trials: RMS error, median of the reported standard error, Cramer-Rao bounds")
+    for system, errors in (("robot", robot), ("markerless", markerless)):
+        for kind in dict.fromkeys(e.kind for e in errors):
+            some = [e for e in errors if e.kind == kind]
+            offset = 1e3 * _rms([e.error[0] for e in some]), 1e3 * np.median([e.sd[0] for e in some])
+            drift = 1e6 * _rms([e.error[1] for e in some]), 1e6 * np.median([e.sd[1] for e in some])
+            text = (
+                f"{len(some)} trials, offset {offset[0]:.3g} ({offset[1]:.3g}) ms, "
+                f"drift {drift[0]:.3g} ({drift[1]:.3g}) ppm"
+            )
+            for name, bounds in (
+                ("geometry known", [e.known for e in some if e.known]),
+                ("unknown", [e.bound for e in some if e.bound]),
+            ):
+                if bounds:
+                    text += (
+                        f"; bound, {name}: {1e3 * np.median([b.offset_s for b in bounds]):.2f} ms, "
+                        f"{1e6 * np.median([b.drift for b in bounds]):.0f} ppm"
+                    )
+            print(f"  {system} {kind}: {text}")
+        within = sum(abs(e.error[0]) <= 1e-3 for e in errors)
+        print(f"  {system}: offset within 1 ms: {share(within, len(errors))}", end="")
+        best = [clock_bounds.within(1e-3, e.bound.offset_s) for e in errors if e.bound]
+        print(f"; an efficient estimate: {100 * np.mean(best):.1f} %" if best else "")
+    certainty = CONFIG["quality"]["markerless_drift"]["pooled_certainty_sd"]
+    for person in people:
+        session = session_of(list(person.measured.values()))
+        parts = []
+        for system, pooled, own in (
+            ("robot", session.robot_drift, 0.0),
+            ("markerless", session.markerless_drift, next(iter(person.clocks.values()))["markerless_drift"]),
+        ):
+            if pooled is not None:
+                parts.append(
+                    f"{system} drift error {1e6 * (pooled.value + own):+.2f} ppm (sd {1e6 * pooled.sd:.2f})"
+                )
+        known = [e.known for e in markerless if e.person == person.name and e.known]
+        least = clock_bounds.pooled(known)
+        print(
+            f"  {person.name} pooled: {'; '.join(parts)}; markerless bound {1e6 * least:.1f} ppm: within 5 ppm in "
+            f"{100 * clock_bounds.within(5e-6, least):.0f} % at best, drifts of 10-200 ppm seen at {certainty:g} sd in "
+            f"{100 * clock_bounds.power(least, certainty, 1e-5, 2e-4):.0f} % at best"
+        )
+
+
 def share(good: int, total: int) -> str:
     """Count, share and Wilson interval."""
     low, high = proportion_confint(good, total, method="wilson")
@@ -374,20 +495,24 @@ def main() -> None:
     )
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--people", nargs="+", default=["S01", "S02", "S03"])
-    parser.add_argument("--raw", type=Path)
-    parser.add_argument("--sealed", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--clean-seeds", type=int, nargs="*", default=[], help="phantoms so many seeds on, clean only"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the faults")
     options = parser.parse_args()
     start = time.monotonic()
+    source = ROOT / "config" / "phantom.yaml"
+    phantom = validated(read_yaml(source), "phantom", source)
     with tempfile.TemporaryDirectory() as scratch:
-        raw, sealed = options.raw, options.sealed
-        if raw is None:
-            source = ROOT / "config" / "phantom.yaml"
-            simulate(Path(scratch), options.people, validated(read_yaml(source), "phantom", source))
-            raw, sealed = Path(scratch) / "raw", Path(scratch) / "sealed"
-        people = [load(raw, sealed or raw.parent / "sealed", name) for name in options.people]
+        simulate(Path(scratch), options.people, phantom)
+        people = [load(Path(scratch) / "raw", Path(scratch) / "sealed", name) for name in options.people]
     alarms, clean = false_alarms(people)
-    report(run(people, options.cases, options.seed), alarms, clean)
+    more, count, drifts = clean_of_other_seeds(options.people, phantom, options.clean_seeds)
+    report(run(people, options.cases, options.seed), alarms + more, clean + count)
+    if drifts:
+        print(f"markerless drift pooled over {len(drifts)} clean sessions of other seeds:")
+        print(_errors(drifts, 1e6, 5.0, "ppm"))
+    report_clocks(*clock_errors(people, phantom), people)
     print(f"{time.monotonic() - start:.0f} s")
 
 

@@ -13,8 +13,10 @@ from real2sim.errors import InputError
 from real2sim.figures.quality import quality_figure
 from real2sim.quality import clocks, markers
 from real2sim.quality.gates import bandwidth_hz, noise_cost, reversals
+from real2sim.quality.measure import _robot_clock
 from real2sim.quality.stage import quality_subject, quality_table
 from real2sim.quality.verdict import by_size, require
+from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
 
@@ -68,6 +70,14 @@ def test_markerless_drift_lies_in_its_interval(person):
     assert abs(error) < 4 * sd
 
 
+def test_robot_clock_that_starts_a_stride_off_finds_back(person):
+    trial = person.raw["walk_robot_1"]
+    truth = person.clocks["walk_robot_1"]["robot_start_s"]
+    for off in (-1.2, 1.2):
+        fit = _robot_clock(trial.recording.time_s, trial.recording.positions, trial.log, [truth + off])
+        assert abs(fit.offset_s - fit.drift * fit.middle_s - truth) < 1e-3
+
+
 def _run(folder, out, **quality):
     quality_subject(
         subject="S01",
@@ -86,11 +96,11 @@ def test_refused_trial_is_held_back_unless_overridden_by_name(folder, tmp_path):
     strict["excitation"]["warn"] = 100.0
     _run(folder, tmp_path / "a", **strict)
     with pytest.raises(InputError, match="excitation") as error:
-        require(tmp_path / "a" / "dynamic_1.json", "dynamic_1")
+        require([tmp_path / "a" / "dynamic_1.json"], "dynamic_1")
     assert "S01/dynamic_1" in error.value.remedy
-    assert require(tmp_path / "a" / "rotation_T10.json", "rotation_T10") == []
+    assert require([tmp_path / "a" / "rotation_T10.json"], "rotation_T10") == {}
     _run(folder, tmp_path / "b", **strict, override={"S01/dynamic_1": "pilot"})
-    assert require(tmp_path / "b" / "dynamic_1.json", "dynamic_1") == ["excitation"]
+    assert require([tmp_path / "b" / "dynamic_1.json"], "dynamic_1") == {"S01/dynamic_1": ["excitation"]}
     assert (tmp_path / "a" / "dynamic_2.json").read_bytes() == (
         tmp_path / "b" / "dynamic_2.json"
     ).read_bytes()
@@ -122,7 +132,7 @@ def test_file_of_another_trial_is_refused(tmp_path):
     path = tmp_path / "dynamic_1.json"
     path.write_text(json.dumps({"subject": "S01", "trial": "dynamic_2", "refused": [], "override": None}))
     with pytest.raises(InputError, match="dynamic_2"):
-        require(path, "dynamic_1")
+        require([path], "dynamic_1")
 
 
 def test_verdict_by_size():
@@ -148,6 +158,53 @@ def test_noise_cost_is_quadratic_and_near_the_band_limited_value():
     one, two = (noise_cost(sd, SETTINGS["ingest"], SETTINGS["scales"]) for sd in (0.5e-3, 1e-3))
     assert two == pytest.approx(4 * one)
     assert 0.03 < one < 0.12
+
+
+def _pelvis(n: int, slide_m_per_rad: float) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Six markers of a person who turns by 60 degrees to either side, one ASIS sliding with the skin; rotations."""
+    body = np.array(
+        [[0, 0.13, 1], [0, -0.13, 1], [-0.16, 0.045, 1], [-0.16, -0.045, 1], [0.1, 0.17, 1], [0.1, -0.17, 1]]
+    )
+    yaw = np.radians(60) * np.sin(np.linspace(0, 4 * np.pi, n))
+    r = Rotation.from_euler("z", yaw[:, None]).as_matrix()
+    points = np.repeat(body[None], n, axis=0)
+    points[:, 0, 1] += slide_m_per_rad * yaw
+    points = np.einsum("nij,nkj->nki", r, points)
+    return {name: points[:, i] for i, name in enumerate(markers.MARKERS)}, r
+
+
+def test_sliding_skin_is_neither_a_swap_nor_a_moved_marker():
+    still, _ = _pelvis(50, 0.0)
+    reference = markers.reference_distances({name: values[:1] for name, values in still.items()})
+    positions, rotation = _pelvis(1500, 0.045)
+    off = markers.departures(positions, reference)
+    assert np.abs(off).max() > 0.04
+    assert np.abs(off - markers.skin(off, rotation)).max() < 0.005
+    assert markers.find_swaps(positions, reference, **CONFIG["ingest"]["swap"]) == []
+    # a marker that was moved stays visible, and so does an exchange that nothing repairs
+    moved = positions | {"PSIS_L": positions["PSIS_L"] + np.einsum("nij,j->ni", rotation, [0.0, 0.06, 0.0])}
+    off = markers.departures(moved, reference)
+    assert np.percentile(np.abs(off - markers.skin(off, rotation)), 99, axis=0).max() > 0.03
+    exchanged = markers.repaired(positions, [markers.Swap("ASIS_L", "PSIS_L", 300, 500)])
+    off = markers.departures(exchanged, reference)
+    assert np.percentile(np.abs(off - markers.skin(off, rotation)), 99, axis=0).max() > 0.03
+
+
+def test_swap_on_sliding_skin_is_still_exchanged_back():
+    still, _ = _pelvis(50, 0.0)
+    reference = markers.reference_distances({name: values[:1] for name, values in still.items()})
+    positions, _ = _pelvis(1500, 0.01)
+    swap = markers.Swap("ASIS_R", "IF_R", 600, 700)
+    found = markers.find_swaps(markers.repaired(positions, [swap]), reference, **CONFIG["ingest"]["swap"])
+    assert found == [swap]
+
+
+def test_few_seconds_ask_for_more_standard_errors():
+    fits = [
+        clocks.ClockFit(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3), n) for n in (12, 30, 10_000)
+    ]
+    certain = [fit.certainty(4.0) for fit in fits]
+    assert certain[0] > certain[1] > certain[2] == pytest.approx(4.0, abs=0.01)
 
 
 def test_spikes_and_gaps_are_found():

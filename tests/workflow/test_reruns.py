@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -106,3 +107,28 @@ def test_changed_raw_trial_fits_that_person_only(mini):
     planned = mini.planned()
     assert [rule for rule in planned if rule.startswith("ingest")] == ["ingest_S01"]
     assert planned["fit"] == 4, "the person's own four fits and nobody else's"
+
+
+def test_gates_that_end_in_the_same_verdicts_fit_nothing(mini):
+    verdicts = {
+        path: path.read_bytes()
+        for path in (mini.folder / "results" / "quality").rglob("*.json")
+        if path.name != "gates.json"
+    }
+    stamps = {path: path.stat().st_mtime_ns for path in verdicts}
+    assert mini.folder / "results/quality/S01/dynamic_1.json" in verdicts
+    # another threshold moves gates.json; the verdicts that fits read stay as they are
+    mini.configure(quality={"gaps": {"warn": 1.1, "refuse": 5.0}})
+    before = (mini.folder / "results/quality/S01/gates.json").read_bytes()
+    mini.snakemake("--cores", "2", "quality")
+    assert (mini.folder / "results/quality/S01/gates.json").read_bytes() != before
+    assert all(path.stat().st_mtime_ns != stamp for path, stamp in stamps.items()), "they were written anew"
+    assert all(path.read_bytes() == content for path, content in verdicts.items())
+    assert not {"fit", "step_study", "assessment", "cross_trial"} & set(mini.planned())
+
+
+def test_gates_that_end_in_another_verdict_fit_that_trial_again(mini):
+    verdict = mini.folder / "results/quality/S01/dynamic_1.json"
+    content = json.loads(verdict.read_text())
+    verdict.write_text(json.dumps(content | {"warned": [*content["warned"], "edited"]}))
+    assert mini.planned()["fit"] == 2

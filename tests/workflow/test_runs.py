@@ -184,3 +184,52 @@ def test_failing_person_is_named_last_and_the_others_go_on(mini, mini_raw):
     assert "remedy" in end
     assert "logs/ingest/S03.log" in end
     assert json.loads((mini.folder / "results/fits/S01/dynamic_1/restart-1.json").read_text())
+
+
+def _spiked(raw: Path) -> None:
+    """Twelve frames in which an interface marker jumps by 40 mm: what the gate on spikes refuses."""
+    lines = raw.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame")) + 100
+    rows = [row for row in range(first, len(lines), 40) if lines[row].split("\t")[-1]][:12]
+    assert len(rows) == 12
+    for row in rows:
+        *cells, last = lines[row].split("\t")
+        lines[row] = "\t".join([*cells, f"{float(last) + 40:.3f}"])
+    raw.write_text("\n".join(lines) + "\n")
+
+
+def test_refused_trial_stops_and_once_overridden_marks_all_that_rests_on_it(mini):
+    _spiked(mini.folder / "resources" / "subjects" / "S01" / "dynamic_1.tsv")
+    shutil.rmtree(mini.folder / "results" / "fits" / "S01" / "dynamic_1")
+    done = mini.snakemake("--cores", "2", check=False)
+    assert done.returncode != 0
+    end = "\n".join(done.stdout.splitlines()[-40:])
+    assert "gate spikes" in end
+    assert 'quality.override: {"S01/dynamic_1": "<reason>"}' in end
+    assert not list((mini.folder / "results/fits/S01").glob("dynamic_1/*.json"))
+    assert list((mini.folder / "results/fits/S01").glob("dynamic_2/*.json")), "the other trial is fitted"
+
+    mini.configure(quality={"override": {"S01/dynamic_1": "one marker flickered"}})
+    mini.snakemake("--cores", "2")
+    made_of_fits = (
+        "fits",
+        "identifiability",
+        "noise_floor",
+        "cross_trial",
+        "shareability",
+        "priors",
+        "loso",
+        "tables",
+    )
+    results = mini.folder / "results"
+    files = [p for name in made_of_fits for p in (results / name).rglob("*") if p.suffix in (".json", ".csv")]
+    marked = {p.relative_to(results).as_posix() for p in files if "S01/dynamic_1" in p.read_text()}
+    clean = {p.relative_to(results).as_posix() for p in files} - marked
+    # what rests on other fits alone: the person's other trial, and the other people's own files
+    own = ("fits/S01/dynamic_2", "identifiability/S01/dynamic_2")
+    own += tuple(f"{name}/{person}" for person in ("S02", "S06") for name in made_of_fits[:4])
+    assert all(name.startswith(own) for name in clean), clean
+    assert not any(name.startswith(own) for name in marked)
+    assert "loso/S02.json" in marked, "its prior is made of the other's fits"
+    assert {"priors/priors.csv", "loso/loso.csv", "tables/cross_trial.csv", "tables/priors.csv"} <= marked
+    assert "quality.override): S01/dynamic_1." in (results / "index.html").read_text()

@@ -126,6 +126,13 @@ def fits_of(subjects):
     ]
 
 
+def gates_of_fit(wildcards):
+    """Verdicts on a fitted trial and on those that its fit rests on: rest pose and joint limits."""
+    level = int(PEOPLE[wildcards.subject].tightness["safe_comfortable_cm"])
+    trials = [wildcards.trial, "neutral", f"rotation_T{level:02d}", f"translation_T{level:02d}"]
+    return [f"results/quality/{wildcards.subject}/{trial}.json" for trial in trials]
+
+
 def operating_point(wildcards, kind):
     """pose.parquet of the rotation or translation trial at the person's T*."""
     level = int(PEOPLE[wildcards.subject].tightness["safe_comfortable_cm"])

@@ -46,7 +46,7 @@ rule fit:
         markers="results/trials/{subject}/{trial}/markers.parquet",
         limits="results/limits/{subject}.json",
         step="results/plant/{subject}.json",
-        gates="results/quality/{subject}/{trial}.json",
+        gates=gates_of_fit,
         robot=ROBOT,
         lock="environment-lock.txt",
     output:

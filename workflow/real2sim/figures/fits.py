@@ -16,6 +16,15 @@ from matplotlib.patches import Patch
 from real2sim.artefacts import number, read_json, read_table
 from real2sim.figures import style
 from real2sim.identification.parameters import PARAMETERS, parameter_column
+from real2sim.quality.verdict import overridden_gates
+
+
+def _phantom(rows: list[dict[str, str]]) -> bool:
+    return any(row["phantom"] == "true" for row in rows)
+
+
+def _overridden(rows: list[dict[str, str]]) -> list[str]:
+    return [trial for row in rows for trial in row.get("overridden", "").split()]
 
 
 def _convergence_panel(axes: Axes, fits: list[dict[str, Any]], floor: float | None) -> None:
@@ -46,7 +55,9 @@ def convergence_figure(*, fits: list[Path], floors: list[Path], out: list[Path])
     trials = sorted({fit["trial"] for fit in records})
     with matplotlib.rc_context(style.RC):
         height = 0.8 + 0.85 * max(len(people), 1)
-        figure = style.new_figure(height, phantom=any(fit["phantom"] for fit in records))
+        figure = style.new_figure(
+            height, phantom=any(fit["phantom"] for fit in records), overridden=overridden_gates(records)
+        )
         shape = max(len(people), 1), max(len(trials), 1)
         panels = figure.subplots(*shape, sharex=True, sharey=True, squeeze=False)
         if not records:
@@ -132,7 +143,7 @@ def icc_figure(*, fits: Path, icc: Path, out: list[Path]) -> None:
     rows = read_table(icc, ("parameter", "icc", "status", "phantom"))
     classes = {row["parameter"]: row["class"] for row in rows}
     with matplotlib.rc_context(style.RC):
-        figure = style.new_figure(4.4, phantom=any(row["phantom"] == "true" for row in rows))
+        figure = style.new_figure(4.4, phantom=_phantom(rows), overridden=_overridden(rows))
         left, right = figure.subplots(1, 2, sharey=True)
         if any(classes.values()):
             _icc_panel(left, rows)
@@ -179,7 +190,7 @@ def loso_figure(*, loso: Path, out: list[Path]) -> None:
     rows = read_table(loso, ("subject", "status", "overhead_J_percent", "overhead_rmse_percent"))
     drawn = [row for row in rows if row["status"] == "ok"]
     with matplotlib.rc_context(style.RC):
-        figure = style.new_figure(2.2, phantom=any(row["phantom"] == "true" for row in rows))
+        figure = style.new_figure(2.2, phantom=_phantom(rows), overridden=_overridden(rows))
         axes = figure.subplots()
         if not drawn:
             style.say(axes, "leave-one-subject-out " + (rows[-1]["status"] if rows else "has no data"))

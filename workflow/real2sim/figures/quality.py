@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from real2sim.figures import style
 
 _FACES = {"pass": "#CFE8F7", "warn": style.ORANGE, "refuse": style.VERMILION}
 _INK = {"pass": "#1a1a1a", "warn": "#1a1a1a", "refuse": "#ffffff"}
-_ROW_IN, _COLUMN_IN, _LEFT_IN, _TOP_IN, _BOTTOM_IN = 0.17, 0.25, 1.15, 1.35, 1.0
+_ROW_IN, _COLUMN_IN, _LEFT_IN, _TOP_IN, _LINE_IN = 0.17, 0.25, 1.5, 1.35, 0.155
+_LINE_CHARACTERS = 112  # what fits into the width at the size of the text
 
 
 def quality_figure(*, gates: Path, out: list[Path]) -> None:
@@ -21,13 +23,15 @@ def quality_figure(*, gates: Path, out: list[Path]) -> None:
     content = read_json(gates, ("subject", "phantom", "order", "session", "trials"))
     trials, columns = content["trials"], content["order"]
     with matplotlib.rc_context(style.RC):
-        width = _LEFT_IN + _COLUMN_IN * len(columns) + 0.15
-        height = _TOP_IN + _ROW_IN * len(trials) + _BOTTOM_IN
+        lines = [part for line in _key_figures(content) for part in textwrap.wrap(line, _LINE_CHARACTERS)]
+        bottom = 0.2 + _LINE_IN * len(lines)
+        width = _LEFT_IN + _COLUMN_IN * len(columns) + 0.45
+        height = _TOP_IN + _ROW_IN * len(trials) + bottom
         figure = style.new_figure(height, phantom=False, width_in=width)
         figure.set_layout_engine("none")
         box = (
             _LEFT_IN / width,
-            _BOTTOM_IN / height,
+            bottom / height,
             _COLUMN_IN * len(columns) / width,
             _ROW_IN * len(trials) / height,
         )
@@ -38,7 +42,9 @@ def quality_figure(*, gates: Path, out: list[Path]) -> None:
         axes.set_ylim(len(trials), 0)
         axes.set_yticks([i + 0.5 for i in range(len(trials))], [_label(*item) for item in trials.items()])
         names = [name.replace("_", " ") for name in columns]
-        axes.set_xticks([i + 0.5 for i in range(len(columns))], names, rotation=60, ha="left")
+        axes.set_xticks(
+            [i + 0.5 for i in range(len(columns))], names, rotation=60, ha="left", rotation_mode="anchor"
+        )
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         for spine in axes.spines.values():
@@ -49,9 +55,7 @@ def quality_figure(*, gates: Path, out: list[Path]) -> None:
         if content["phantom"]:
             label = style.PHANTOM_LABEL
             figure.text(0.01, 1 - 0.26 / height, label, va="top", color=style.VERMILION, fontweight="bold")
-        figure.text(
-            0.01, (_BOTTOM_IN - 0.1) / height, "\n".join(_key_figures(content)), va="top", linespacing=1.4
-        )
+        figure.text(0.01, (bottom - 0.1) / height, "\n".join(lines), va="top", linespacing=1.4)
         style.save(figure, out)
 
 
@@ -95,12 +99,14 @@ def _key_figures(content: dict[str, Any]) -> list[str]:
                 f"{system} clock {style.signed(pooled['ppm'], 1)} ppm "
                 f"[{style.signed(low, 1)}, {style.signed(high, 1)}] over {pooled['pooled_over_trials']} trials"
             )
-    lines += ["Drift (95 %): " + "; ".join(drifts)] if drifts else []
+    lines += [f"Drift (95 %): {drift}" for drift in drifts]
     gates = [gate for about in content["trials"].values() for gate in about["gates"]]
     noise = [gate for gate in gates if gate["gate"] == "noise" and gate["value"] is not None]
     lines += [f"Noise floor: {gate['message']}" for gate in noise[:1]]
     graver = sorted((g for g in gates if g["verdict"] != "pass"), key=lambda g: g["verdict"] != "refuse")
-    for gate in graver[:2]:
+    for gate in graver[:4]:
         text = f"{gate['verdict'].capitalize()}: {gate['trial']}, {gate['gate']}: {gate['message']}"
-        lines.append(text if len(text) <= 112 else text[:109] + "...")
+        lines.append(text if len(text) <= 2 * _LINE_CHARACTERS else text[: 2 * _LINE_CHARACTERS - 3] + "...")
+    if len(graver) > 4:
+        lines.append(f"and {len(graver) - 4} more: quality.csv")
     return lines

@@ -52,11 +52,21 @@ RC: Any = {
 }
 
 
-def new_figure(height_in: float, *, phantom: bool, width_in: float = COLUMN_WIDTH_IN) -> Figure:
-    """A figure at print size, labelled above its panels where its data are the phantom's."""
+def new_figure(
+    height_in: float, *, phantom: bool, width_in: float = COLUMN_WIDTH_IN, overridden: Iterable[str] = ()
+) -> Figure:
+    """A figure at print size, labelled above its panels where its data are the phantom's.
+
+    ``overridden`` are trials that it rests on although a gate refuses them: named there too.
+    """
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    if phantom:
-        figure.suptitle(PHANTOM_LABEL, fontsize=7.5, color=VERMILION, fontweight="bold")
+    labels = [PHANTOM_LABEL] if phantom else []
+    named = sorted(set(overridden))
+    if named:
+        more = f" and {len(named) - 2} more" if len(named) > 2 else ""
+        labels.append(f"rests on refused trials: {', '.join(named[:2])}{more}")
+    if labels:
+        figure.suptitle("\n".join(labels), fontsize=7.5, color=VERMILION, fontweight="bold")
     return figure
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from real2sim.artefacts import needs_people, number, read_json, read_table, write_table
+from real2sim.quality.verdict import overridden_trials
 from real2sim.statistics.shareability import PRIOR_COLUMNS
 
 PRIORS_COLUMNS = (
@@ -23,6 +24,7 @@ PRIORS_COLUMNS = (
     "source",
     "status",
     "published_place",
+    "overridden",
     "phantom",
 )
 CROSS_TRIAL_COLUMNS = (
@@ -36,6 +38,7 @@ CROSS_TRIAL_COLUMNS = (
     "overhead_percent",
     "n_pairs",
     "place",
+    "overridden",
     "phantom",
 )
 
@@ -70,6 +73,7 @@ def priors_table(*, priors: Path, published: Path, out: Path) -> None:
 
 def _cross_trial_row(record: dict[str, Any]) -> dict[str, Any]:
     row = {"subject": record["subject"], "phantom": record.get("phantom", False)}
+    row["overridden"] = overridden_trials([record])
     if "overhead" not in record:
         return row | {"status": record["status"]}
     return row | {
@@ -103,7 +107,8 @@ def cross_trial_table(*, cross_trial: list[Path], floors: list[Path], published:
     floor = {
         record["subject"]: record for record in (read_json(path, ("subject", "J", "ci95")) for path in floors)
     }
-    rows = [_cross_trial_row(read_json(path, ("subject",))) for path in cross_trial]
+    records = [read_json(path, ("subject",)) for path in cross_trial]
+    rows = [_cross_trial_row(record) for record in records]
     for row in rows:
         if row["subject"] in floor:
             low, high = floor[row["subject"]]["ci95"]
@@ -111,6 +116,7 @@ def cross_trial_table(*, cross_trial: list[Path], floors: list[Path], published:
     rows.sort(key=lambda row: row["subject"])
     done = [row for row in rows if row["status"] == "ok"]
     mean: dict[str, Any] = {"subject": "mean", "phantom": any(row["phantom"] for row in rows)}
+    mean["overridden"] = overridden_trials(records)
     if done:
         complete = len(done) == len(rows)
         mean["status"] = "ok" if complete else f"only {len(done)} of {len(rows)} people have a result"

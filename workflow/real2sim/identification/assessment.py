@@ -15,6 +15,7 @@ from real2sim.identification.identifiability import AT_BOUND, assess
 from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector, unit
 from real2sim.identification.trial import Trial, TrialModel, replay_of, trial_model, with_step
 from real2sim.provenance import fingerprint
+from real2sim.quality.verdict import overridden_gates, overridden_trials
 from real2sim.signals import lowpass
 
 # A change of ten per cent, in ln-units
@@ -193,7 +194,8 @@ def assessment(
     ``fits`` are the trial's restarts, ``neutral_quality`` the quality.json of the person's neutral trial, from which
     the noise of the pelvis markers is taken, ``step`` the person's step study.
     """
-    best = best_of([read_json(path, ("restart", "parameters", "cost")) for path in fits])
+    records = [read_json(path, ("restart", "parameters", "cost")) for path in fits]
+    best = best_of(records)
     settings = with_step(settings, step)
     model = trial_model(pose=pose, markers=markers, limits=limits, robot=robot, settings=settings, nsim=13)
     noise_m = marker_noise(neutral_quality)
@@ -212,6 +214,7 @@ def assessment(
             "trial": trial,
             "restart": best["restart"],
             "phantom": model.trial.phantom,
+            "overridden_gates": overridden_gates(records),
             **result,
             "robot_sensitivity_percent_per_10_percent": robot_sensitivity(
                 model, refined, jacobian, np.array(free), robot=robot, settings=settings
@@ -237,6 +240,7 @@ TABLE_COLUMNS = (
     "next_trial",
     "most_sensitive_to",
     "change_percent_per_10_percent",
+    "overridden",
     "phantom",
 )
 
@@ -264,6 +268,7 @@ def assessment_table(*, assessments: list[Path], out: Path) -> None:
                     "ci95_high": high,
                     "most_sensitive_to": constant,
                     "change_percent_per_10_percent": known.get(constant) if constant else None,
+                    "overridden": overridden_trials([record]),
                     "phantom": record["phantom"],
                     **{
                         key: row[key]

@@ -89,7 +89,7 @@ def fit_restart(
     robot: Path,
     settings: dict,
     out: Path,
-    gates: Path | None = None,
+    gates: list[Path] | None = None,
 ) -> None:
     """Identify the 12 interface parameters of one trial from one log-uniform start (paper, section III-B).
 
@@ -100,16 +100,17 @@ def fit_restart(
     settings
         Slices ``identification``, ``plant`` and ``robot`` of the configuration.
     gates
-        Verdict of the trial's gates; None where the caller vouches for the trial, as benchmarks do.
+        Verdicts on the trial and on those that the fit rests on (`quality.verdict.require`); None where the caller
+        vouches for them, as benchmarks do.
     out
         JSON with parameters [SI], cost and its terms, history, replay check, settings and provenance.
 
     Raises
     ------
     InputError
-        Where the gates refuse the trial, or the replay misses the bar of the contract (0.1 mm RMS, 0.1 ms).
+        Where a gate refuses one of these trials, or the replay misses the bar of the contract (0.1 mm RMS, 0.1 ms).
     """
-    overridden = [] if gates is None else require(gates, trial)
+    overridden = {} if gates is None else require(gates, trial)
     settings = with_step(settings, step)
     ident = settings["identification"]
     bounds = Bounds.from_config(ident["bounds"])

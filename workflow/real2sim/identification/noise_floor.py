@@ -11,6 +11,7 @@ from real2sim.identification.fit import best_of
 from real2sim.identification.parameters import as_vector
 from real2sim.identification.trial import trial_model, with_step
 from real2sim.provenance import fingerprint
+from real2sim.quality.verdict import overridden_gates
 
 
 def block_bootstrap_mean(
@@ -80,6 +81,7 @@ def noise_floor(
             "subject": subject,
             "source": "neutral",
             "phantom": model.trial.phantom,
+            "overridden_gates": overridden_gates(records),
             "J": floor,
             "J_position": float(terms.position[0]),
             "J_velocity": float(terms.velocity[0]),

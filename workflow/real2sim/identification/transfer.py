@@ -12,6 +12,7 @@ from real2sim.identification.fit import best_of
 from real2sim.identification.parameters import as_vector
 from real2sim.identification.trial import TrialModel, trial_model, with_step
 from real2sim.provenance import fingerprint
+from real2sim.quality.verdict import overridden_gates
 from real2sim.statistics.loso import leave_one_out_prior, overhead
 
 _FIT_KEYS = ("subject", "trial", "restart", "parameters", "cost")
@@ -55,7 +56,12 @@ def cross_trial(
     """
     records = [read_json(path, _FIT_KEYS) for path in fits]
     best = _best_per_trial(records, subject)
-    base = {"schema": 1, "subject": subject, "phantom": any(r["phantom"] for r in records)}
+    base = {
+        "schema": 1,
+        "subject": subject,
+        "phantom": any(r["phantom"] for r in records),
+        "overridden_gates": overridden_gates(records),
+    }
     if len(best) < 2:
         write_json(out, base | {"status": f"needs at least 2 dynamic trials, has {len(best)}", "pairs": []})
         return
@@ -125,9 +131,11 @@ def loso_subject(
         table = read_table(published, ("parameter", "prior"))
         prior = {row["parameter"]: float(row["prior"]) for row in table}
         source, status = "published", needs_people(minimum, len(cohort))
+        rests_on = [r for r in records if r["subject"] == subject]
     else:
         prior = leave_one_out_prior([r for r in records if r["subject"] in cohort], subject)
         source, status = "leave-one-out", "ok"
+        rests_on = records
     best = _best_per_trial(records, subject)
     trials = []
     for name, model in _models(poses, markers, limits, robot, with_step(settings, step), 2).items():
@@ -155,7 +163,8 @@ def loso_subject(
     write_json(
         out,
         base
-        | {"status": status, "prior_source": source, "prior": prior, "trials": trials}
+        | {"overridden_gates": overridden_gates(rests_on), "status": status}
+        | {"prior_source": source, "prior": prior, "trials": trials}
         | overheads
         | {"provenance": {"code_fingerprint": fingerprint(__name__)}},
     )

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from real2sim import alignment, signals
 from real2sim.formats.recordings import RobotLog
@@ -30,6 +32,7 @@ class ClockFit:
     """Offset [s] at ``middle_s``, drift [s/s], their standard errors, SD of the residual [m], coordinates used.
 
     ``ground`` (3, 3) turns the other system's ground frame into the world; ``ground_sd`` [rad] of its three angles.
+    ``seconds`` of motion are what the errors rest on: as many independent pieces.
     """
 
     offset_s: float
@@ -40,6 +43,14 @@ class ClockFit:
     residual_m: float
     ground: np.ndarray
     ground_sd: np.ndarray
+    seconds: int
+
+    def certainty(self, normal_sd: float) -> float:
+        """Standard errors that are as rare as ``normal_sd`` of a normal distribution: Student's t, seconds - 2.
+
+        Few pieces leave the error itself uncertain (Cameron & Miller, J. Human Resources 50 (2015), section VI).
+        """
+        return float(student.isf(norm.sf(normal_sd), max(self.seconds - 2, 1)))
 
 
 @dataclass(frozen=True)
@@ -156,7 +167,8 @@ def robot_clock(
             if abs(step[0]) < _CONVERGED_S and abs(step[1]) < 1e-8:
                 break
     rms = float(np.sqrt(np.mean(residual**2)))
-    return ClockFit(offset_s, float(sd[0]), drift, float(sd[1]), middle, rms, ground, sd[2:5])
+    seconds = len(np.unique(cluster))
+    return ClockFit(offset_s, float(sd[0]), drift, float(sd[1]), middle, rms, ground, sd[2:5], seconds)
 
 
 def _first_ground(arm: _Arm, own: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -257,6 +269,7 @@ def markerless_clock(
         fit.residual_m,
         space.rotation,
         fit.ground_sd,
+        fit.seconds,
     )
 
 
@@ -338,7 +351,27 @@ def _generalised(system: _System, step: int, middle: float, ground: np.ndarray) 
             free = free - features @ np.linalg.lstsq(features[covered], free[covered], rcond=None)[0]
             lagged = float(np.sum(free[1:][use] * free[:-1][use]) / max(np.sum(free[:-1][use] ** 2), 1e-30))
             rho[c] = np.clip(lagged, -0.2, 0.95)
-    sd = np.sqrt(np.maximum(np.diag(inverse), 0))
+    sd = np.sqrt(np.maximum(np.diag(inverse), _clustered(parts, weight, beta, inverse, t[1:][use])))
     rms = float(np.sqrt(np.sum(1 / weight[:3]) / 3))
     unknown = np.full(3, np.inf)
-    return ClockFit(float(beta[0]), float(sd[0]), float(beta[1]), float(sd[1]), middle, rms, ground, unknown)
+    offset_sd, drift_sd = float(sd[0]), float(sd[1])
+    seconds = len(np.unique(np.floor(t[1:][use] / _CLUSTER_S)))
+    return ClockFit(
+        float(beta[0]), offset_sd, float(beta[1]), drift_sd, middle, rms, ground, unknown, seconds
+    )
+
+
+def _clustered(
+    parts: list[tuple[np.ndarray, np.ndarray]],
+    weight: np.ndarray,
+    beta: np.ndarray,
+    inverse: np.ndarray,
+    time_s: np.ndarray,
+) -> np.ndarray:
+    """Variances (2,) clustered by the second: what the estimated weights and autoregression may have missed."""
+    scores = sum(w * a * (b - a @ beta)[:, None] for w, (a, b) in zip(weight, parts, strict=True))
+    cluster = np.floor((time_s - time_s[0]) / _CLUSTER_S).astype(int)
+    sums = np.zeros((int(cluster.max()) + 1, 2))
+    np.add.at(sums, cluster, scores)
+    count = max(len(np.unique(cluster)), 2)
+    return np.diag(inverse @ (sums.T @ sums) @ inverse) * count / (count - 1)

@@ -210,7 +210,7 @@ def _gaps(m: Measured, settings: dict) -> Gate:
 
 
 def _rigid(m: Measured, settings: dict) -> Gate:
-    size = np.abs(m.departures)
+    size = np.abs(m.departures - m.skin)
     seen = np.isfinite(size).any(axis=0)
     if not seen.any():
         return _gate("rigid", None, "m", settings, "no two markers of a body are seen at once", "")
@@ -218,13 +218,20 @@ def _rigid(m: Measured, settings: dict) -> Gate:
     per_pair[seen] = np.nanpercentile(size[:, seen], 99, axis=0)
     pair = int(np.nanargmax(per_pair))
     a, b = RIGID_PAIRS[pair]
+    whole = float(np.nanmax(np.nanpercentile(np.abs(m.departures[:, seen]), 99, axis=0)))
+    limits = settings["rigid"]
+    verdict = by_size(float(per_pair[pair]), [limits["warn"], limits["refuse"]])
+    if whole >= limits["refuse"]:  # no skin slides that far
+        verdict = worst([verdict, WARN])
     return _gate(
         "rigid",
         float(per_pair[pair]),
         "m",
         settings,
-        f"the distance {a} to {b} departs from quiet standing by {1e3 * per_pair[pair]:.1f} mm (99th percentile)",
+        f"the distance {a} to {b} departs from quiet standing by {1e3 * per_pair[pair]:.1f} mm (99th percentile) more "
+        f"than skin that slides with the pelvis' rotation explains; by {1e3 * whole:.1f} mm at most with it",
         "Look for exchanged or moved markers in QTM; if a marker was moved, record neutral again.",
+        verdict=verdict,
     )
 
 
@@ -336,12 +343,14 @@ def _drift_gate(
         return _gate(gate, None, "ppm", settings, "too little motion", "")
     candidates = []
     if pooled is not None:
-        candidates.append((pooled.value, pooled.sd, f"pooled over {pooled.trials} trials of the session"))
+        source = f"pooled over {pooled.trials} trials of the session"
+        candidates.append((pooled.value, pooled.sd, limits["pooled_certainty_sd"], source))
     if own is not None and np.isfinite(own.drift_sd):
-        candidates.append((own.drift, own.drift_sd, "of this trial alone"))
+        certainty = own.certainty(limits["certainty_sd"])
+        candidates.append((own.drift, own.drift_sd, certainty, "of this trial alone"))
     judged = []
-    for value, sd, source in candidates:
-        sure = abs(value) > limits["certainty_sd"] * sd
+    for value, sd, certainty, source in candidates:
+        sure = abs(value) > certainty * sd
         judged.append(
             (
                 by_size(1e6 * abs(value), [limits["warn"], limits["refuse"]]) if sure else PASS,

@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.spatial.transform import Rotation
 
 from real2sim import geometry, signals
 
@@ -15,6 +16,9 @@ MARKERS = (*geometry.PELVIS_MARKERS, *geometry.INTERFACE_MARKERS)
 RIGID_PAIRS = (*combinations(geometry.PELVIS_MARKERS, 2), geometry.INTERFACE_MARKERS)
 _SWAPS = tuple(combinations(range(len(MARKERS)), 2))
 _UPRIGHT = 0.3  # least cosine of the pelvis' up axis to the vertical, and of the two bodies' left axes
+_ENOUGH = 50  # frames to see how skin slides
+_ROUNDS = 15  # of reweighting
+_HUBER = 2.0  # in median absolute residuals, 1.35 SD of a normal distribution
 _SPIKE_FRAMES = 7  # of the running median: spikes of up to three frames stand out of it
 
 
@@ -88,7 +92,8 @@ def find_swaps(
     """Spans over which exchanging exactly one pair of labels restores every rigid distance and orientation.
 
     A frame is looked at where a distance departs by more than ``violation_m`` or a body is the wrong way round;
-    an exchange counts if it brings everything within ``restored_m``, and only if no other one does.
+    an exchange counts if it brings everything within ``restored_m``, and only if no other one does, and if the labels
+    jump where it begins and ends: skin that slides far moves distances too, but it does so without a jump.
     """
     points = stacked(positions)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -108,7 +113,11 @@ def find_swaps(
     for k in np.unique(label[label >= 0]):
         a, b = _SWAPS[k]
         spread = _spread(points, reference, label == k, a, b)
-        out += [Swap(MARKERS[a], MARKERS[b], run.start, run.stop) for run in signals.segments(spread)]
+        out += [
+            Swap(MARKERS[a], MARKERS[b], run.start, run.stop)
+            for run in signals.segments(spread)
+            if _jumps(points, a, b, run)
+        ]
     return sorted(out, key=lambda swap: swap.start)
 
 
@@ -122,6 +131,52 @@ def _spread(points: np.ndarray, reference: np.ndarray, sure: np.ndarray, a: int,
     for run in signals.segments(sure | better):
         if sure[run].any():
             out[run] = True
+    return out
+
+
+def _jumps(points: np.ndarray, a: int, b: int, run: slice) -> bool:
+    """Whether two labels (of (n, 6, 3)) go on smoothly at both ends of a span only if they are exchanged there.
+
+    An end at which a marker is missing, or that is the record's, says nothing.
+    """
+    for before, after in ((run.start - 1, run.start), (run.stop - 1, run.stop)):
+        if before < 0 or after >= len(points):
+            continue
+        (a_0, b_0), (a_1, b_1) = points[before, [a, b]], points[after, [a, b]]
+        kept = np.linalg.norm(a_1 - a_0) + np.linalg.norm(b_1 - b_0)
+        exchanged = np.linalg.norm(b_1 - a_0) + np.linalg.norm(a_1 - b_0)
+        if kept <= exchanged:  # false where one is NaN
+            return False
+    return True
+
+
+def skin(departure: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """What sliding skin explains (n, 7) [m] of the departures of the rigid distances (n, 7) [m].
+
+    The part that is linear in the rotation (n, 3, 3) of the pelvis from where the trial begins, by robust regression
+    (Huber's weights), so that frames with a fault do not decide it; a constant, as of a marker that was moved, is not
+    explained. Zero for the interface, which has no skin, and where the rotation is unknown.
+    """
+    out = np.zeros_like(departure)
+    known = np.flatnonzero(np.isfinite(rotation).all(axis=(1, 2)))
+    if len(known) < _ENOUGH:
+        return out
+    turn = np.zeros((len(rotation), 3))
+    turn[known] = Rotation.from_matrix(rotation[known[0]].T @ rotation[known]).as_rotvec()
+    design = np.column_stack([np.ones(len(turn)), turn])
+    for pair in range(departure.shape[1] - 1):
+        rows = known[np.isfinite(departure[known, pair])]
+        if len(rows) < _ENOUGH:
+            continue
+        x, y = design[rows], departure[rows, pair]
+        weight = np.ones(len(rows))
+        beta = np.zeros(4)
+        for _ in range(_ROUNDS):
+            root = np.sqrt(weight)
+            beta = np.linalg.lstsq(x * root[:, None], y * root, rcond=1e-6)[0]
+            left = np.abs(y - x @ beta)
+            weight = np.minimum(1.0, _HUBER * max(float(np.median(left)), 1e-6) / np.maximum(left, 1e-12))
+        out[:, pair] = turn @ beta[1:]
     return out
 
 

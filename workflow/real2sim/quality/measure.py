@@ -16,6 +16,8 @@ from real2sim.subjects import parse_trial
 
 _COARSE_HZ = 50.0  # grid on which rates are compared
 _PAIR_HZ = 10.0  # samples of both systems' pelvis that are kept for the frames
+_EXPLAINED_M = 0.01  # residual of the robot's clock from which another start is tried
+_STRIDES_S = (-1.0, 1.0, -2.0, 2.0)  # a fit finds its way from half a stride
 _FINE_RATES = np.linspace(0.97, 1.03, 25)  # rates beside the declared one that are tried
 
 
@@ -81,6 +83,7 @@ class Measured:
     swaps: list[markers.Swap]
     spikes: dict[str, int]
     departures: np.ndarray  # (n, 7) after swaps and spikes
+    skin: np.ndarray  # (n, 7) what sliding skin explains of them
     noise_m: dict[str, float]
     spacing: dict[str, tuple[float, float]] = field(default_factory=dict)  # SD [s], longest gap [s] by system
     robot: Robot | None = None
@@ -106,6 +109,9 @@ def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict
     cloud = np.concatenate(list(used.values()))
     seen = cloud[signals.known(cloud)]
     extent = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    pelvis = _pelvis_path(time_s, clean, rate, ingest)
+    departures = markers.departures(clean, reference)
+    rotation = np.full((frames, 3, 3), np.nan) if pelvis is None else pelvis.rotation
     out = Measured(
         trial.name,
         trial.kind,
@@ -116,10 +122,10 @@ def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict
         markers.find_gaps(used),
         swaps,
         {name: len(rows) for name, rows in found.items()},
-        markers.departures(clean, reference),
+        departures,
+        markers.skin(departures, rotation),
         {name: markers.noise_sd(values) for name, values in clean.items()},
     )
-    pelvis = _pelvis_path(time_s, clean, rate, ingest)
     if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
         out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
         out.robot = _robot(trial.log, time_s, clean, ingest)
@@ -195,13 +201,32 @@ def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], inge
         correlation = coarse.correlation
         if correlation >= ingest["robot_log"]["min_correlation"] and coarse.offset_sd_s < 0.1:
             offset = coarse.offset_s
-    fit = clocks.robot_clock(time_s, clean["IF_L"], clean["IF_R"], log, offset_s=offset)
-    if fit is not None and not np.isfinite([fit.offset_s, fit.drift]).all():
-        fit = None
+    fit = _robot_clock(time_s, clean, log, [offset, *([sync] if sync is not None else [])])
+    offset = fit.offset_s if fit is not None else offset
     phasor = np.exp(1j * (angles[:, 0] - np.interp(time_s - offset, grid, theirs[:, 0])))
     heading = float(np.angle(np.nanmean(phasor))) if np.isfinite(phasor).any() else float("nan")
     floor = float(np.max(fit.ground_sd[:2])) if fit is not None else float("inf")
     return Robot(sync, correlation, fit, heading, floor)
+
+
+def _robot_clock(
+    time_s: np.ndarray, clean: dict[str, np.ndarray], log: RobotLog, starts: list[float]
+) -> clocks.ClockFit | None:
+    """Clock from the first start that explains the markers, or the best of all.
+
+    Gait repeats itself: the coarse offset may be one stride off, where the fit finds a minimum of its own.
+    """
+    best: clocks.ClockFit | None = None
+    around = [starts[0] + shift for shift in _STRIDES_S]
+    for start in [*starts, *around]:
+        fit = clocks.robot_clock(time_s, clean["IF_L"], clean["IF_R"], log, offset_s=start)
+        if fit is None or not np.isfinite([fit.offset_s, fit.drift, fit.residual_m]).all():
+            continue
+        if best is None or fit.residual_m < best.residual_m:
+            best = fit
+        if best.residual_m < _EXPLAINED_M:
+            break
+    return best
 
 
 # -------------------- markerless

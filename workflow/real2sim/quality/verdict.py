@@ -1,8 +1,8 @@
-"""Verdicts of the gates: pass, warn, refuse; and the check that holds a refused trial back from a fit."""
+"""Verdicts of the gates: pass, warn, refuse; what holds a refused trial back from a fit, and the mark if overridden."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,28 +43,62 @@ def by_size(value: float, threshold: list[float]) -> str:
     return WARN if sign * value >= sign * warn else PASS
 
 
-def require(gates: Path, trial: str) -> list[str]:
-    """Names of the gates that refuse a trial but are overridden in the configuration; empty if none refuses.
+def require(gates: Sequence[Path], trial: str) -> dict[str, list[str]]:
+    """What a fit may rest on: the gates that refuse its trials but are overridden in the configuration, by trial.
 
-    ``gates`` is results/quality/<SUBJECT>/<TRIAL>.json. Raises InputError with the gate's message and remedy if
-    the trial is refused.
+    Parameters
+    ----------
+    gates
+        results/quality/<SUBJECT>/<TRIAL>.json of the fitted trial and of those that its fit rests on (neutral: rest
+        pose; rotation and translation at T*: joint limits).
+    trial
+        Name of the fitted trial.
+
+    Returns
+    -------
+    {"S01/dynamic_1": ["excitation"]}; empty if none refuses. Results carry it as ``overridden_gates``.
+
+    Raises
+    ------
+    InputError
+        With the gate's message and remedy if one of the trials is refused.
     """
-    content: dict[str, Any] = read_json(gates, ("subject", "trial", "refused", "override"))
-    if content["trial"] != trial:
-        remedy = "Delete the file and run again."
-        raise InputError(gates, "key trial", str(content["trial"]), trial, remedy)
-    refused = content["refused"]
-    if content["override"] is not None or not refused:
-        return [gate["gate"] for gate in refused]
-    first = refused[0]
-    name = f"{content['subject']}/{trial}"
-    more = (
-        f" (and {len(refused) - 1} more: {', '.join(g['gate'] for g in refused[1:])})" if refused[1:] else ""
-    )
+    contents = {path: read_json(path, ("subject", "trial", "refused", "override")) for path in gates}
+    for path, content in contents.items():
+        if content["trial"] != path.stem:
+            remedy = "Delete the file and run again."
+            raise InputError(path, "key trial", str(content["trial"]), path.stem, remedy)
+    if trial not in {path.stem for path in gates}:
+        raise ValueError(f"no gates of {trial} in {', '.join(map(str, gates))}")
+    out = {}
+    for path, content in contents.items():
+        if content["refused"] and content["override"] is None:
+            raise _refusal(path, content)
+        if content["refused"]:
+            out[f"{content['subject']}/{content['trial']}"] = [gate["gate"] for gate in content["refused"]]
+    return out
+
+
+def _refusal(path: Path, content: dict[str, Any]) -> InputError:
+    first, *others = content["refused"]
+    more = f" (and {len(others)} more: {', '.join(g['gate'] for g in others)})" if others else ""
     remedy = (
         f"{first['remedy']} Or exclude the trial in subject.yaml, or accept it by name: "
-        f'quality.override: {{"{name}": "<reason>"}}'
+        f'quality.override: {{"{content["subject"]}/{content["trial"]}": "<reason>"}}'
     )
-    raise InputError(
-        gates, f"gate {first['gate']}", first["message"] + more, "a trial that passes its gates", remedy
-    )
+    place, expected = f"gate {first['gate']}", "a trial that passes its gates"
+    return InputError(path, place, first["message"] + more, expected, remedy)
+
+
+def overridden_gates(records: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Union of ``overridden_gates`` of fits, or of what was made of fits: the mark of whatever rests on them."""
+    found: dict[str, set[str]] = {}
+    for record in records:
+        for trial, gates in record.get("overridden_gates", {}).items():
+            found.setdefault(trial, set()).update(gates)
+    return {trial: sorted(found[trial]) for trial in sorted(found)}
+
+
+def overridden_trials(records: Iterable[Mapping[str, Any]]) -> str:
+    """The trials of `overridden_gates` as a table cell: ``S01/dynamic_1 S02/neutral``."""
+    return " ".join(overridden_gates(records))

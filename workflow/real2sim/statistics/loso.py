@@ -10,6 +10,7 @@ import numpy as np
 
 from real2sim.artefacts import needs_people, read_json, write_table
 from real2sim.identification.parameters import PARAMETERS
+from real2sim.quality.verdict import overridden_trials
 from real2sim.statistics.shareability import parameter_matrix, point_prior
 
 LOSO_COLUMNS = (
@@ -22,6 +23,7 @@ LOSO_COLUMNS = (
     "rmse_prior_m",
     "overhead_rmse_percent",
     "n_trials",
+    "overridden",
     "phantom",
 )
 
@@ -44,6 +46,7 @@ def overhead(with_prior: float, best: float) -> float:
 
 def _row(record: dict[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {"subject": record["subject"], "phantom": record.get("phantom", False)}
+    row["overridden"] = overridden_trials([record])
     if "overhead_J" not in record:
         return row | {"status": record["status"]}
     trials = record["trials"]
@@ -60,10 +63,12 @@ def loso_table(*, loso: list[Path], settings: dict, out: Path) -> None:
 
     ``settings`` is the config slice ``statistics``. Costs J have no unit; RMSE in metres.
     """
-    rows = [_row(read_json(path, ("subject",))) for path in loso]
+    records = [read_json(path, ("subject",)) for path in loso]
+    rows = [_row(record) for record in records]
     rows.sort(key=lambda row: row["subject"])
     done = [row for row in rows if row["status"] == "ok"]
     mean: dict[str, Any] = {"subject": "mean", "phantom": any(row["phantom"] for row in rows)}
+    mean["overridden"] = overridden_trials(records)
     if len(rows) < settings["min_subjects"]:
         mean["status"] = needs_people(settings["min_subjects"], len(rows))
     elif len(done) < len(rows):

@@ -17,6 +17,7 @@ from real2sim.artefacts import (
 )
 from real2sim.errors import InputError
 from real2sim.identification.parameters import PARAMETERS, parameter_column, unit
+from real2sim.quality.verdict import overridden_trials
 from real2sim.statistics import icc as icc_module
 
 USE = {
@@ -64,6 +65,7 @@ PRIOR_COLUMNS = (
     "status",
     "n_subjects",
     "n_fits",
+    "overridden",
     "phantom",
 )
 
@@ -129,11 +131,6 @@ def read_fits(paths: Sequence[Path]) -> list[dict[str, Any]]:
     return sorted(fits, key=lambda f: (f["subject"], f["trial"], f["restart"]))
 
 
-def overridden_trials(fits: Sequence[dict[str, Any]]) -> str:
-    """Trials that were fitted although a gate refuses them, as ``S01/dynamic_1 S02/dynamic_2``."""
-    return " ".join(sorted({f"{f['subject']}/{f['trial']}" for f in fits if f.get("overridden_gates")}))
-
-
 def parameter_matrix(fits: Sequence[dict[str, Any]]) -> np.ndarray:
     """Parameters of the fits as (n, 12), columns in the order of PARAMETERS, SI units."""
     return np.array([[fit["parameters"][n] for n in PARAMETERS] for fit in fits], float)
@@ -144,7 +141,7 @@ def _fit_row(fit: dict[str, Any]) -> dict[str, Any]:
     row["J"] = fit["cost"]["J"]
     row["rmse_position_m"] = fit["cost"]["rmse_position_m"]
     row["at_bound"] = " ".join(fit.get("at_bound", []))
-    row["overridden"] = " ".join(fit.get("overridden_gates", []))
+    row["overridden"] = overridden_trials([fit])
     return row | {parameter_column(n): float(fit["parameters"][n]) for n in PARAMETERS}
 
 
@@ -247,7 +244,10 @@ def priors(*, fits: Path, icc: Path, published: Path, settings: dict, out: Path)
     people for an ICC.
     """
     fit_rows = read_table(fits, [parameter_column(n) for n in PARAMETERS])
-    icc_rows = {row["parameter"]: row for row in read_table(icc, ("parameter", "status", "class", "phantom"))}
+    icc_rows = {
+        row["parameter"]: row
+        for row in read_table(icc, ("parameter", "status", "class", "overridden", "phantom"))
+    }
     stand_in = {
         row["parameter"]: row for row in read_table(published, ("parameter", "prior", "class", "place"))
     }
@@ -270,6 +270,6 @@ def priors(*, fits: Path, icc: Path, published: Path, settings: dict, out: Path)
         else:
             row = _published_row(stand_in[name], found["status"])
         # Counts and status rest on this cohort also where the numbers are the paper's.
-        cohort = {key: found[key] for key in ("n_subjects", "n_fits", "phantom")}
+        cohort = {key: found[key] for key in ("n_subjects", "n_fits", "overridden", "phantom")}
         rows.append({"parameter": name, "unit": unit(name)} | row | cohort)
     write_table(out, PRIOR_COLUMNS, rows)

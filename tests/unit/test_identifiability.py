@@ -10,6 +10,7 @@ from real2sim.identification.identifiability import (
     DETERMINED,
     NOT_DETERMINED,
     WEAK,
+    NoiseTerms,
     assess,
     long_run_covariance,
     profile_end,
@@ -171,6 +172,8 @@ def test_bias_is_taken_off_the_interval_and_doubted_when_large():
     exact = np.exp(TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0])
     shift = np.zeros(12)
     shift[0], shift[1] = 0.05, 0.3
+    # the slope of what noise adds that pulls a quadratic's minimum by so much
+    pull = np.tile(-columns.T @ columns @ shift / N, (N, 1))
     rows = assess(
         linear(columns, noise),
         exact,
@@ -179,7 +182,7 @@ def test_bias_is_taken_off_the_interval_and_doubted_when_large():
         batch=13,
         rate_hz=100,
         settings=SETTINGS,
-        bias=lambda z, information, free: shift,
+        noise=lambda z: NoiseTerms(pull, np.zeros((12, 12))),
     )["parameters"]
     middle = np.sqrt(rows["k_tx"]["ci95"][0] * rows["k_tx"]["ci95"][1])
     assert middle == pytest.approx(rows["k_tx"]["value"] * np.exp(-0.05), rel=1e-3)

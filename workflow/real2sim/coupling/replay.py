@@ -38,6 +38,8 @@ class Replay:
         Simulations per call, at most.
     scale
         Factors on inertial constants of the robot (`plant.INERTIAL_CONSTANTS`).
+    threads
+        That step the simulations of a call. Results are the same bits with any number.
 
     Attributes
     ----------
@@ -64,6 +66,7 @@ class Replay:
         limits: JointLimits | None,
         nsim: int,
         scale: dict[str, float] | None = None,
+        threads: int = 1,
     ):
         h = float(plant_settings["timestep_s"])
         sample = float(time_s[1] - time_s[0])
@@ -95,7 +98,7 @@ class Replay:
         command = self.drive.position + (kd / kp) * self.drive.velocity + (1 / kp) * self.drive.acceleration
         self._control = np.ascontiguousarray(np.broadcast_to(command, (nsim, *command.shape)))
         self.nsim = nsim
-        self._batch = Batch(self.model, nsim, 1)
+        self._batch = Batch(self.model, nsim, threads)
         joints = [self.model.joint(name) for name in STRAP_JOINTS]
         self._dofs = np.array([j.dofadr[0] for j in joints])
         self._joints = np.array([j.id for j in joints])

@@ -5,12 +5,18 @@ H = GᵀG of a cost J = rᵀr. Residuals of a filtered, simulated trial are corr
 sandwich H⁻¹ S H⁻¹ with S the long-run covariance of the scores G_tᵀ r_t (Newey & West 1987, Bartlett kernel). The same
 ratio of sandwich to naive variance calibrates the threshold of the profile of J (Kent 1982), so that curvature and
 profile speak of the same 95 %.
+
+The input of a replay, the pelvis, is itself measured. Its noise moves the plant, and what it moves costs: J(z) has the
+expectation of the true cost plus E(z), the energy of the plant's response to noise, whose slope pulls a fit aside and
+whose curvature passes for information. Both are taken off (corrected score, Nakamura 1990; Carroll et al. 2006,
+chapter 7): intervals belong to the minimum of J - E, and H loses what E contributes to it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -31,18 +37,39 @@ _TRIAL = {
 }
 
 
+# Of the information in a direction at least this share is left, however much of it the noise of the input explains: the
+# noise is known to a few per cent only
+LEAST_SHARE = 0.05
+# Of a step towards the corrected fit, and when it is small enough to stop: ln-units, standard deviations
+LARGEST_STEP, SMALL_STEP_SD = 1.0, 0.2
+
+
+@dataclass(frozen=True)
+class NoiseTerms:
+    """What noise of the input adds to J: scores (n, 12), summing up to half the gradient, and curvature (12, 12)."""
+
+    scores: np.ndarray
+    curvature: np.ndarray
+
+
 @dataclass(frozen=True)
 class Information:
-    """Information of one fit in ln-parameters.
+    """Information at one point in ln-parameters.
 
-    ``jacobian`` (n_r, 12), ``information`` H (12, 12), ``covariance`` (12, 12; NaN rows for parameters left out) and
-    ``inflation`` (12,), the ratio of sandwich to naive variance times the cost per degree of freedom it replaces.
+    ``jacobian`` (n_r, 12), ``score`` (12,) half the gradient of the corrected cost, ``information`` H (12, 12) less the
+    noise's, ``covariance`` (12, 12; NaN rows for parameters left out) and ``inflation`` (12,), the ratio of sandwich to
+    naive variance times the cost per degree of freedom it replaces.
     """
 
     jacobian: np.ndarray
+    score: np.ndarray
     information: np.ndarray
     covariance: np.ndarray
     inflation: np.ndarray
+
+    def sd(self) -> np.ndarray:
+        """Standard deviations (12,) in ln-units, NaN where a parameter is left out."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> np.ndarray:
@@ -67,6 +94,24 @@ def long_run_covariance(scores: np.ndarray, lags: int) -> np.ndarray:
     return total
 
 
+def per_sample(values: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """Sum the rows of values (n_r, k) that belong to the same sample, (n, k)."""
+    out = np.zeros((int(sample.max()) + 1, values.shape[1]))
+    np.add.at(out, sample, values)
+    return out
+
+
+def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """Information (12, 12) without what the noise of the input contributes, positive definite."""
+    # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
+    whole = information + 1e-13 * np.trace(information) * np.eye(len(information))
+    lower = np.linalg.cholesky(whole)
+    half = np.linalg.solve(lower, curvature)
+    share, directions = np.linalg.eigh(np.linalg.solve(lower, half.T))
+    spread = lower @ directions
+    return (spread * np.clip(1 - share, LEAST_SHARE, 1.0)) @ spread.T
+
+
 def information(
     residuals: Residuals,
     z: np.ndarray,
@@ -75,25 +120,27 @@ def information(
     *,
     step: float,
     lags: int,
+    noise: NoiseTerms | None = None,
 ) -> Information:
-    """Information and covariance of a fit at ln-parameters z (12,).
+    """Information and covariance at ln-parameters z (12,).
 
     ``sample`` (n_r,) is the sample index of each residual; ``free`` lists the parameters that are not at a bound;
-    ``lags`` is the range of autocorrelation that is taken into account [samples].
+    ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input at z.
     """
     jacobian = central_jacobian(residuals, z, step)
     residual = residuals.many(z[None])[0]
-    full = jacobian.T @ jacobian
-    n = int(sample.max()) + 1
-    scores = np.zeros((n, 12))
-    np.add.at(scores, sample, jacobian * residual[:, None])
-    part = full[np.ix_(free, free)]
-    # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
-    inner = np.linalg.inv(part + 1e-13 * np.trace(part) * np.eye(len(free)))
-    meat = long_run_covariance(scores[:, free], lags)
+    scores = per_sample(jacobian * residual[:, None], sample)
+    curvature = np.zeros((12, 12))
+    if noise is not None:
+        scores, curvature = scores - noise.scores, noise.curvature
+    full = less_noise(jacobian.T @ jacobian, curvature)
+    inner = np.linalg.inv(full[np.ix_(free, free)])
+    # the score of a fit is zero, that of a point on the way to the corrected one is not: only its scatter counts
+    used = np.any(scores != 0, axis=1)
+    centred = np.where(used[:, None], scores - scores[used].mean(axis=0), 0.0)
+    meat = long_run_covariance(centred[:, free], lags)
     # each parameter takes up one effective sample; blocks of the kernel's width are the effective samples
-    used = int(np.any(scores != 0, axis=1).sum())
-    blocks = max(used / (lags + 1), len(free) + 2)
+    blocks = max(used.sum() / (lags + 1), len(free) + 2)
     sandwich = inner @ meat @ inner * blocks / (blocks - len(free))
     white = float(residual @ residual) / (len(residual) - len(free)) * inner
     # where correlated residuals claim to know more than white ones would, they are not believed
@@ -102,7 +149,46 @@ def information(
     covariance[np.ix_(free, free)] = sandwich
     inflation = np.full(12, np.nan)
     inflation[free] = np.diag(sandwich) / np.diag(inner)
-    return Information(jacobian, full, covariance, inflation)
+    return Information(jacobian, scores.sum(axis=0), full, covariance, inflation)
+
+
+def corrected_fit(
+    residuals: Residuals,
+    z: np.ndarray,
+    sample: np.ndarray,
+    noise: Callable[[np.ndarray], NoiseTerms],
+    *,
+    step: float,
+    lags: int,
+    iterations: int,
+) -> tuple[np.ndarray, NoiseTerms]:
+    """Minimum of the cost less what the noise of the input adds to it, by Newton steps from a fit z (12,).
+
+    Returns ln-parameters (12,) and the noise's terms at the last point that was looked at.
+    """
+    point = z
+    for _ in range(iterations):
+        terms = noise(point)
+        info = information(residuals, point, sample, np.arange(12), step=step, lags=lags, noise=terms)
+        move = _newton_step(info, point, residuals)
+        point = np.clip(point + move, residuals.lower, residuals.upper)
+        if np.all(np.abs(move) <= SMALL_STEP_SD * info.sd()):
+            break
+    return point, terms
+
+
+def _newton_step(info: Information, z: np.ndarray, residuals: Residuals) -> np.ndarray:
+    """Step (12,) down the corrected cost; parameters that it would push through their bound stay."""
+    free = np.ones(12, bool)
+    move = np.zeros(12)
+    for _ in range(3):
+        move[:] = 0.0
+        move[free] = -np.linalg.solve(info.information[np.ix_(free, free)], info.score[free])
+        stuck = free & (((z <= residuals.lower) & (move < 0)) | ((z >= residuals.upper) & (move > 0)))
+        if not stuck.any():
+            break
+        free &= ~stuck
+    return np.clip(move, -LARGEST_STEP, LARGEST_STEP)
 
 
 def profile_end(
@@ -179,7 +265,7 @@ def assess(
     batch: int,
     rate_hz: float,
     settings: dict,
-    bias: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
+    noise: Callable[[np.ndarray], NoiseTerms] | None = None,
 ) -> dict:
     """Verdict on each parameter of a fit.
 
@@ -195,9 +281,9 @@ def assess(
         Search bounds, replays per call, sample rate [Hz].
     settings
         Slice ``identifiability`` of the configuration.
-    bias
-        Maps z (12,), H (12, 12) and the free parameters to the bias of the fit in ln-units (12,), which is taken
-        off the intervals.
+    noise
+        Maps z (12,) to what the noise of the input adds there. The bias that it causes is taken off the intervals, not
+        off the fit.
 
     Returns
     -------
@@ -210,29 +296,32 @@ def assess(
     start = np.log(parameters)
     everything = np.arange(12)
     z, cost, _, _ = minimise(problem, start, everything, iterations=settings["iterations"], ftol=1e-8)
-    near = settings["at_bound_ln"]
-    bound = (z - problem.lower < near) | (problem.upper - z < near)
-    free = np.flatnonzero(~bound)
     lags = round(settings["autocorrelation_s"] * rate_hz)
-    info = information(problem, z, sample, free, step=settings["step_ln"], lags=lags)
-    shift = np.zeros(12)
-    if bias is not None:
-        # the bias belongs to the corrected point, which the first estimate of it gives
-        shift = bias(z, info.information, free)
-        shift = bias(np.clip(z - shift, problem.lower, problem.upper), info.information, free)
-    # a parameter at its bound has no place in the covariance, but its profile still has a threshold
-    whole = (
-        info
-        if not bound.any()
-        else information(problem, z, sample, everything, step=settings["step_ln"], lags=lags)
-    )
+    options: dict[str, Any] = {"step": settings["step_ln"], "lags": lags}
+    jacobian = central_jacobian(problem, z, settings["step_ln"])
+    point = z
+    if noise is not None:
+        steps = settings["bias_iterations"]
+        point, terms = corrected_fit(problem, z, sample, noise, iterations=steps, **options)
+        options["noise"] = terms
+    shift = z - point
+    whole = information(problem, point, sample, everything, **options)
+    near = settings["at_bound_ln"]
+    at_bound = (z - problem.lower < near) | (problem.upper - z < near)
+    # at its bound a parameter is known, but for what cannot be known at all
+    bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
+    free = np.flatnonzero(~bound)
+    info = information(problem, point, sample, free, **options) if bound.any() else whole
     quantile = float(stats.norm.ppf(0.975))
     rows = {}
     for i, name in enumerate(PARAMETERS):
-        sd = float(np.sqrt((whole if bound[i] else info).covariance[i, i]))
-        ends: list[float | None] = [z[i] - quantile * sd, z[i] + quantile * sd]
-        if bound[i] or sd > settings["determined_sd_ln"]:
-            inflation = (whole if bound[i] else info).inflation[i]
+        known = whole if bound[i] else info
+        sd = float(known.sd()[i])
+        ends: list[float | None] = [float(point[i] + side * quantile * sd) for side in (-1, 1)]
+        if sd > settings["weak_sd_ln"]:
+            # no profile: J would rise by the noise of the input alone
+            ends = _within(ends, problem.lower[i], problem.upper[i])
+        elif bound[i] or sd > settings["determined_sd_ln"]:
             ends = [
                 profile_end(
                     problem,
@@ -241,17 +330,18 @@ def assess(
                     i,
                     direction,
                     sd=sd,
-                    threshold=quantile**2 * inflation,
+                    threshold=quantile**2 * known.inflation[i],
                     iterations=settings["profile_iterations"],
                 )
                 for direction in (-1, 1)
             ]
+            ends = [None if end is None else end - float(shift[i]) for end in ends]
         rows[name] = {
             "value": float(np.exp(z[i])),
             "sd_ln": None if bound[i] else sd,
             "bias_ln": None if bound[i] else float(shift[i]),
-            "ci95": [None if e is None else float(np.exp(e - shift[i])) for e in ends],
-            **_verdict(name, ends, sd, float(shift[i]), bool(bound[i]), settings),
+            "ci95": [None if end is None else float(np.exp(end)) for end in ends],
+            **_verdict(name, float(z[i]), ends, sd, float(shift[i]), bool(bound[i]), settings),
         }
     return {
         "J": cost,
@@ -259,12 +349,22 @@ def assess(
         "flat_directions": flat_directions(info.covariance, free, sd=settings["weak_sd_ln"]),
         "evaluations": problem.evaluations,
         "refined_by": float(np.abs(z - start).max()),
-        "jacobian": info.jacobian,
+        "jacobian": jacobian,
     }
 
 
+def _within(ends: list[float | None], lower: float, upper: float) -> list[float | None]:
+    return [None if end is None or not lower <= end <= upper else end for end in ends]
+
+
 def _verdict(
-    name: str, ends: list[float | None], sd: float, bias: float, at_bound: bool, settings: dict
+    name: str,
+    z: float,
+    ends: list[float | None],
+    sd: float,
+    bias: float,
+    at_bound: bool,
+    settings: dict,
 ) -> dict[str, str | None]:
     low, high = ends
     advice = _advice(name)
@@ -272,6 +372,10 @@ def _verdict(
         reason = "J rises towards neither bound: every admissible value fits as well"
         return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
     if at_bound:
+        reach = max(abs(end - z + bias) for end in ends if end is not None)
+        if reach > 1.96 * settings["weak_sd_ln"]:
+            reason = f"from its bound J does not rise within a factor of {np.exp(reach):.2f}"
+            return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
         reason = "the search ended at its bound: the optimum may lie beyond it"
         return {"verdict": AT_BOUND, "reason": reason, "next_trial": advice}
     if low is None or high is None:

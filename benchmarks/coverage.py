@@ -151,7 +151,7 @@ def true_sd(person, truth, parameters: np.ndarray, noise_m: float, robot: Path, 
     model = measured_model(person, truth, 0.0, 1, robot, config)
     bounds = Bounds.from_config(config["identification"]["bounds"])
     problem = Residuals(lambda p: model.cost.residuals(model.replay.run(p)), bounds, 13)
-    jacobian = central_jacobian(problem, np.log(parameters), 1e-3)
+    _, jacobian = central_jacobian(problem, np.log(parameters), 1e-3)
     rng = np.random.default_rng(2)
     shape = model.trial.interface.shape
     noises = []

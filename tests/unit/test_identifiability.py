@@ -173,7 +173,7 @@ def test_bias_is_taken_off_the_interval_and_doubted_when_large():
     shift = np.zeros(12)
     shift[0], shift[1] = 0.05, 0.3
     # the slope of what noise adds that pulls a quadratic's minimum by so much
-    pull = np.tile(-columns.T @ columns @ shift / N, (N, 1))
+    pull = -columns.T @ columns @ shift
     rows = assess(
         linear(columns, noise),
         exact,

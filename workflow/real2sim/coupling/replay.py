@@ -14,8 +14,9 @@ from real2sim.coupling.plant import (
     STRAP_JOINTS,
     JointLimits,
     RestPose,
-    build_plant,
+    compiled,
     load_robot,
+    plant_spec,
     robot_pose_for,
     servo_gains,
 )
@@ -29,7 +30,7 @@ class Replay:
     Parameters
     ----------
     robot, robot_settings, plant_settings, rest, limits
-        See `plant.build_plant`.
+        See `plant.plant_spec`.
     time_s, pelvis_rotation, pelvis_position
         Measured pelvis path: (n,), (n, 3, 3), (n, 3) [s, m], uniformly sampled.
     start_rotation, start_position
@@ -49,6 +50,8 @@ class Replay:
         Steps per sample.
     nsim
         Most simulations per call.
+    spec, model
+        The plant, described and compiled.
     """
 
     def __init__(
@@ -81,7 +84,7 @@ class Replay:
             raise InputError(
                 robot, "", str(error), "a twin that reaches the measured start pose", "Check its geometry."
             ) from error
-        self.model = build_plant(
+        self.spec = plant_spec(
             robot,
             robot_settings,
             plant_settings,
@@ -92,6 +95,7 @@ class Replay:
             self.drive.reference_origin,
             scale=scale,
         )
+        self.model = compiled(self.spec, robot)
         self._robot_file = robot
         self.nstep = len(self.drive.position)
         kp, kd = servo_gains(h)

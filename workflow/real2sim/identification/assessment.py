@@ -12,7 +12,7 @@ from real2sim.coupling.plant import INERTIAL_CONSTANTS
 from real2sim.coupling.replay import Replay
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from real2sim.identification.fit import best_of
-from real2sim.identification.identifiability import AT_BOUND, NoiseTerms, assess, per_sample
+from real2sim.identification.identifiability import AT_BOUND, NoiseTerms, assess
 from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector, unit
 from real2sim.identification.trial import Trial, TrialModel, replay_of, trial_model, with_step
 from real2sim.provenance import fingerprint
@@ -61,7 +61,6 @@ class InputNoise:
             for _ in range(options["bias_draws"])
         ]
         self._model, self._step = model, options["bias_step_ln"]
-        self._sample = model.cost.sample_of_residual()
         nsim = model.replay.nsim
         self._noisy = [replay_of(trial, model.limits, robot, settings, nsim=nsim) for trial in trials]
 
@@ -71,16 +70,15 @@ class InputNoise:
 
     def __call__(self, z: np.ndarray) -> NoiseTerms:
         """Terms at ln-parameters z (12,)."""
-        points = np.vstack([z + self._step * np.eye(12), z - self._step * np.eye(12)])
+        points = np.vstack([z, z + self._step * np.eye(12)])
         clean = self._residuals(self._model.replay, points)
-        scores = np.zeros((int(self._sample.max()) + 1, 12))
-        curvature = np.zeros((12, 12))
+        score, curvature = np.zeros(12), np.zeros((12, 12))
         for replay in self._noisy:
             response = self._residuals(replay, points) - clean
-            change = ((response[:12] - response[12:]) / (2 * self._step)).T
-            scores += per_sample(change * response.mean(axis=0)[:, None], self._sample)
+            change = ((response[1:] - response[0]) / self._step).T
+            score += change.T @ response[0]
             curvature += change.T @ change
-        return NoiseTerms(scores / len(self._noisy), curvature / len(self._noisy))
+        return NoiseTerms(score / len(self._noisy), curvature / len(self._noisy))
 
 
 def robot_sensitivity(

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -40,15 +39,19 @@ _TRIAL = {
 # Of the information in a direction at least this share is left, however much of it the noise of the input explains: the
 # noise is known to a few per cent only
 LEAST_SHARE = 0.05
+# Of the variance that white residuals would give
+LEAST_OF_WHITE = 0.1
 # Of a step towards the corrected fit, and when it is small enough to stop: ln-units, standard deviations
 LARGEST_STEP, SMALL_STEP_SD = 1.0, 0.2
+# Up to so many thresholds a profile is taken for a parabola
+PARABOLA = 4.0
 
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """What noise of the input adds to J: scores (n, 12), summing up to half the gradient, and curvature (12, 12)."""
+    """What noise of the input adds to J: ``score`` (12,), half its gradient, and ``curvature`` (12, 12)."""
 
-    scores: np.ndarray
+    score: np.ndarray
     curvature: np.ndarray
 
 
@@ -56,12 +59,11 @@ class NoiseTerms:
 class Information:
     """Information at one point in ln-parameters.
 
-    ``jacobian`` (n_r, 12), ``score`` (12,) half the gradient of the corrected cost, ``information`` H (12, 12) less the
+    ``score`` (12,) half the gradient of the corrected cost, ``information`` H (12, 12) less the
     noise's, ``covariance`` (12, 12; NaN rows for parameters left out) and ``inflation`` (12,), the ratio of sandwich to
     naive variance times the cost per degree of freedom it replaces.
     """
 
-    jacobian: np.ndarray
     score: np.ndarray
     information: np.ndarray
     covariance: np.ndarray
@@ -72,14 +74,14 @@ class Information:
         return np.sqrt(np.diag(self.covariance))
 
 
-def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> np.ndarray:
-    """Jacobian (n_r, 12) of the residuals at ln-parameters z (12,) by central differences, one-sided at a bound."""
+def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n_r,) and Jacobian (n_r, 12) at ln-parameters z (12,) by central differences, one-sided at a bound."""
     up, down = np.minimum(z + step, residuals.upper), np.maximum(z - step, residuals.lower)
-    points = np.tile(z, (24, 1))
+    points = np.tile(z, (25, 1))
     points[np.arange(12), np.arange(12)] = up
     points[np.arange(12, 24), np.arange(12)] = down
     out = residuals.many(points)
-    return ((out[:12] - out[12:]) / (up - down)[:, None]).T
+    return out[24], ((out[:12] - out[12:24]) / (up - down)[:, None]).T
 
 
 def long_run_covariance(scores: np.ndarray, lags: int) -> np.ndarray:
@@ -103,7 +105,7 @@ def per_sample(values: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     """Information (12, 12) without what the noise of the input contributes, positive definite."""
-    # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
+    # a parameter that moves nothing has a share of nothing
     whole = information + 1e-13 * np.trace(information) * np.eye(len(information))
     lower = np.linalg.cholesky(whole)
     half = np.linalg.solve(lower, curvature)
@@ -113,43 +115,42 @@ def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
 
 
 def information(
-    residuals: Residuals,
-    z: np.ndarray,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
     sample: np.ndarray,
     free: np.ndarray,
     *,
-    step: float,
     lags: int,
     noise: NoiseTerms | None = None,
 ) -> Information:
-    """Information and covariance at ln-parameters z (12,).
+    """Information and covariance at a point, from its residuals (n_r,) and their Jacobian (n_r, 12).
 
     ``sample`` (n_r,) is the sample index of each residual; ``free`` lists the parameters that are not at a bound;
-    ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input at z.
+    ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input there.
     """
-    jacobian = central_jacobian(residuals, z, step)
-    residual = residuals.many(z[None])[0]
     scores = per_sample(jacobian * residual[:, None], sample)
-    curvature = np.zeros((12, 12))
+    total, full = scores.sum(axis=0), jacobian.T @ jacobian
     if noise is not None:
-        scores, curvature = scores - noise.scores, noise.curvature
-    full = less_noise(jacobian.T @ jacobian, curvature)
+        total, full = total - noise.score, less_noise(full, noise.curvature)
+    # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
+    full = full + 1e-13 * np.trace(full) * np.eye(12)
     inner = np.linalg.inv(full[np.ix_(free, free)])
-    # the score of a fit is zero, that of a point on the way to the corrected one is not: only its scatter counts
+    # the score of a fit is zero, that of a corrected one is the noise's: only the scatter counts
     used = np.any(scores != 0, axis=1)
     centred = np.where(used[:, None], scores - scores[used].mean(axis=0), 0.0)
     meat = long_run_covariance(centred[:, free], lags)
-    # each parameter takes up one effective sample; blocks of the kernel's width are the effective samples
-    blocks = max(used.sum() / (lags + 1), len(free) + 2)
-    sandwich = inner @ meat @ inner * blocks / (blocks - len(free))
-    white = float(residual @ residual) / (len(residual) - len(free)) * inner
-    # where correlated residuals claim to know more than white ones would, they are not believed
-    sandwich += np.diag(np.maximum(np.diag(white) - np.diag(sandwich), 0.0))
+    # each parameter takes up one effective sample, of which Bartlett's kernel sees 3 n / (2 lags) (Priestley 1981, 6.2)
+    effective = max(1.5 * used.sum() / (lags + 1), len(free) + 2)
+    sandwich = inner @ meat @ inner * effective / (effective - len(free))
+    # a slow signature is known better than white residuals would let it be, but not out of all proportion, and one that
+    # is zero has no scores to scatter
+    white = LEAST_OF_WHITE * float(residual @ residual) / len(residual) * np.diag(inner)
+    sandwich += np.diag(np.maximum(white - np.diag(sandwich), 0.0))
     covariance = np.full((12, 12), np.nan)
     covariance[np.ix_(free, free)] = sandwich
     inflation = np.full(12, np.nan)
     inflation[free] = np.diag(sandwich) / np.diag(inner)
-    return Information(jacobian, scores.sum(axis=0), full, covariance, inflation)
+    return Information(total, full, covariance, inflation)
 
 
 def corrected_fit(
@@ -169,7 +170,8 @@ def corrected_fit(
     point = z
     for _ in range(iterations):
         terms = noise(point)
-        info = information(residuals, point, sample, np.arange(12), step=step, lags=lags, noise=terms)
+        residual, jacobian = central_jacobian(residuals, point, step)
+        info = information(residual, jacobian, sample, np.arange(12), lags=lags, noise=terms)
         move = _newton_step(info, point, residuals)
         point = np.clip(point + move, residuals.lower, residuals.upper)
         if np.all(np.abs(move) <= SMALL_STEP_SD * info.sd()):
@@ -204,35 +206,38 @@ def profile_end(
 ) -> float | None:
     """Where J, refitted over the other parameters, has risen by ``threshold`` on one side of a fit.
 
-    Asks at the bound first: a flat side is known after one refit. Otherwise walks outwards in growing steps, the
-    first of them ``sd`` (ln-units, at most a half), and interpolates. Returns the ln-value, or None if J has not
-    risen at the bound.
+    The first refit is where a parabola with this ``sd`` (ln-units) ends; from there outwards in growing steps until J
+    has risen. Returns the ln-value, or None if J has not risen at the bound.
     """
     others = np.delete(np.arange(12), index)
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
+    start, inner, low = z, float(z[index]), 0.0
+    stride = float(np.clip(1.96 * sd, 0.05, 1.0))
+    outer: tuple[float, float] | None = None
 
-    def refitted(start: np.ndarray, value: float) -> tuple[np.ndarray, float]:
-        moved = start.copy()
-        moved[index] = value
-        best, found, _, _ = minimise(residuals, moved, others, iterations=iterations, ftol=1e-4)
-        return best, found
+    def root(outer: tuple[float, float]) -> float:
+        # J is near a parabola, its root nearly linear
+        there, high = outer
+        return inner + (there - inner) * float((np.sqrt(threshold) - low) / max(high - low, 1e-12))
 
-    at_bound, found = refitted(z, bound)
-    if found - cost <= threshold:
-        return None
-    here, last, start, stride = float(z[index]), cost, z, min(max(sd, 0.05), 0.5)
     while True:
-        there = here + direction * stride
-        if (bound - there) * direction <= 0:
-            there = bound
-        else:
-            start, found = refitted(start, there)
-        rise = (found if there != bound else refitted(at_bound, bound)[1]) - cost
+        there = inner + direction * stride if outer is None else root(outer)
+        there = bound if (bound - there) * direction <= 0 else there
+        moved = start.copy()
+        moved[index] = there
+        best, found, _, _ = minimise(residuals, moved, others, iterations=iterations, ftol=1e-4)
+        rise = found - cost
         if rise > threshold:
-            # J is near a parabola: interpolate its root
-            inner, outer = np.sqrt(max(last - cost, 0.0)), np.sqrt(rise)
-            return here + (there - here) * float((np.sqrt(threshold) - inner) / max(outer - inner, 1e-12))
-        here, last, stride = there, found, 1.5 * stride
+            trusted = outer is not None or rise < PARABOLA * threshold
+            outer = there, np.sqrt(rise)
+            if trusted:
+                return root(outer)
+        elif there == bound:
+            return None
+        else:
+            start, inner, low, stride = best, there, np.sqrt(max(rise, 0.0)), 2 * stride
+            if outer is not None:
+                return root(outer)
 
 
 def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[dict]:
@@ -297,21 +302,28 @@ def assess(
     everything = np.arange(12)
     z, cost, _, _ = minimise(problem, start, everything, iterations=settings["iterations"], ftol=1e-8)
     lags = round(settings["autocorrelation_s"] * rate_hz)
-    options: dict[str, Any] = {"step": settings["step_ln"], "lags": lags}
-    jacobian = central_jacobian(problem, z, settings["step_ln"])
-    point = z
+    residual, jacobian = central_jacobian(problem, z, settings["step_ln"])
+    own_jacobian = jacobian
+    point, terms = z, None
     if noise is not None:
-        steps = settings["bias_iterations"]
-        point, terms = corrected_fit(problem, z, sample, noise, iterations=steps, **options)
-        options["noise"] = terms
+        point, terms = corrected_fit(
+            problem,
+            z,
+            sample,
+            noise,
+            step=settings["step_ln"],
+            lags=lags,
+            iterations=settings["bias_iterations"],
+        )
+        residual, jacobian = central_jacobian(problem, point, settings["step_ln"])
     shift = z - point
-    whole = information(problem, point, sample, everything, **options)
+    whole = information(residual, jacobian, sample, everything, lags=lags, noise=terms)
     near = settings["at_bound_ln"]
     at_bound = (z - problem.lower < near) | (problem.upper - z < near)
     # at its bound a parameter is known, but for what cannot be known at all
     bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
     free = np.flatnonzero(~bound)
-    info = information(problem, point, sample, free, **options) if bound.any() else whole
+    info = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
     quantile = float(stats.norm.ppf(0.975))
     rows = {}
     for i, name in enumerate(PARAMETERS):
@@ -349,7 +361,7 @@ def assess(
         "flat_directions": flat_directions(info.covariance, free, sd=settings["weak_sd_ln"]),
         "evaluations": problem.evaluations,
         "refined_by": float(np.abs(z - start).max()),
-        "jacobian": jacobian,
+        "jacobian": own_jacobian,
     }
 
 

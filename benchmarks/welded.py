@@ -8,6 +8,7 @@ carry half of the interface's inertia, so that rigidly welded they are the inter
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -23,9 +24,12 @@ from real2sim.coupling.plant import (
 )
 from real2sim.coupling.replay import Replay
 from real2sim.geometry import AXES
-from real2sim.identification.trial import TrialModel
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    # not at run time: sysid_search.py runs without pyarrow
+    from real2sim.identification.trial import TrialModel
 
 PELVIS_JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
 _PELVIS_AXES = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1], [0, 1, 0], [1, 0, 0])
@@ -132,7 +136,7 @@ class WeldedReplay:
                 objtype=mujoco.mjtObj.mjOBJ_SITE,
                 objname=name,
             )
-        self.model = spec.compile()
+        self.spec, self.model = spec, spec.compile()
         self._control, pelvis_start, pelvis_rate = self._commands(trial, own, h)
         self._control = np.ascontiguousarray(np.broadcast_to(self._control, (nsim, *self._control.shape)))
         qpos, qvel = np.zeros(self.model.nq), np.zeros(self.model.nv)
@@ -144,7 +148,7 @@ class WeldedReplay:
         for name in STRAP_JOINTS:
             rate = own._start_state[1][own.model.joint(name).dofadr[0]]
             qvel[self.model.joint(name).dofadr[0]] = rate
-        self._start = qpos, qvel
+        self._start_state = qpos, qvel
         self._batch = Batch(self.model, nsim, 1)
         self._dofs = [self.model.joint(name).dofadr[0] for name in STRAP_JOINTS]
         self._joints = [self.model.joint(name).id for name in STRAP_JOINTS]
@@ -169,8 +173,8 @@ class WeldedReplay:
         self._stiffness[:, self._joints] = parameters[:, :6]
         self._damping[:, self._dofs] = parameters[:, 6:]
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._batch.bind("qpos")[:] = self._start[0]
-        self._batch.bind("qvel")[:] = self._start[1]
+        self._batch.bind("qpos")[:] = self._start_state[0]
+        self._batch.bind("qvel")[:] = self._start_state[1]
         sensors = self._batch.rollout(self.nstep, self._control, record=("sensordata",), out=self._record)
         sites = sensors["sensordata"][:, :: self.stride, :6]
         return sites.reshape(*sites.shape[:2], 2, 3).copy()

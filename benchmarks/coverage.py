@@ -1,12 +1,15 @@
 """Do the 95 % intervals hold the truth in 95 % of cases? Phantom draws, one dynamic trial each.
 
-    python benchmarks/coverage.py --draws 200 --out coverage.json
+    python benchmarks/coverage.py --draws 200 --rows coverage.jsonl --limit-s 450 --out coverage.json
 
 Each draw has parameters of its own (log-normal about Table I, within the bounds), a motion of its own and white marker
-noise of 0.2-0.5 mm on pelvis and interface. In half of the draws the arm cannot pitch and the pelvis only translates,
-so that k_ry and d_ry move no marker. (With turns of the pelvis they do, even where the arm cannot pitch: a turned strap
+noise of 0.2-0.5 mm on pelvis and interface. In every third draw the arm cannot pitch and the pelvis only translates, so
+that k_ry and d_ry move no marker. (With turns of the pelvis they do, even where the arm cannot pitch: a turned strap
 rolls the arm.) A parameter counts as flat if its true SD (noise-free Jacobian, Monte Carlo of the noise) is at least
 1 ln-unit: it must be called "not determined".
+
+Finished draws are kept in the file of rows, one JSON object a line. A run goes on where the last one stopped, ends
+after ``--limit-s`` and reports on what there is. A draw depends on its number and the seed alone.
 """
 
 from __future__ import annotations
@@ -16,7 +19,6 @@ import copy
 import json
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +27,13 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim import geometry
+from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.coupling.plant import RestPose
+from real2sim.files import write_text
 from real2sim.identification.assessment import assess_model
 from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.identifiability import DETERMINED, NOT_DETERMINED, central_jacobian
+from real2sim.identification.identifiability import DETERMINED, NOT_DETERMINED, WEAK, central_jacobian
 from real2sim.identification.least_squares import Residuals, search
 from real2sim.identification.parameters import PARAMETERS, Bounds
 from real2sim.identification.trial import Trial, TrialModel, replay_of
@@ -45,13 +49,17 @@ NEUTRAL_S = 8.0
 
 
 def robot_without_pitch(folder: Path) -> Path:
-    """The robot twin with an arm too heavy to pitch."""
+    """The robot twin with an arm too heavy to pitch by a microradian (with 10^4 kg m² it pitches by 0.1 rad)."""
     text = (ROOT / "resources" / "robot" / "drba.xml").read_text()
     joint = '<joint name="arm_pitch" type="hinge" axis="0 1 0"'
     assert joint in text
     path = folder / "without_pitch.xml"
-    path.write_text(text.replace(joint, joint + ' armature="10000"'))
+    path.write_text(text.replace(joint, joint + ' armature="1e8"'))
     return path
+
+
+NORMAL, FLAT = "normal", "without pitch and turns"
+KINDS = (NORMAL, NORMAL, FLAT)
 
 
 def translating(phantom: dict) -> dict:
@@ -72,14 +80,14 @@ def draws(count: int, seed: int, bounds: Bounds, phantom: dict) -> np.ndarray:
 
 
 def true_trials(
-    robot: Path, phantom: dict, config: dict, parameters: np.ndarray, seed: int
+    robot: Path, phantom: dict, config: dict, parameters: np.ndarray, seeds: list[int]
 ) -> list[tuple[object, object]]:
-    """Person and true paths of one dynamic trial per draw."""
+    """Person and true paths of one dynamic trial per draw; ``parameters`` (n, 12), ``seeds`` one each."""
     plant = Robot(robot, phantom["simulation"]["step_s"])
     people, paths = [], []
-    for i in range(len(parameters)):
-        settings = phantom | {"seed": seed + i}
-        name = list(phantom["cohort"])[i % 6]
+    for seed in seeds:
+        settings = phantom | {"seed": seed}
+        name = list(phantom["cohort"])[seed % 6]
         person = draw_person(settings, name, float(plant.rest_middle(np.zeros(6))[1][2]))
         motion = motion_of(settings, person, "dynamic_1")
         pose = person.rest_rotation, person.rest_position
@@ -143,7 +151,7 @@ def true_sd(person, truth, parameters: np.ndarray, noise_m: float, robot: Path, 
     model = measured_model(person, truth, 0.0, 1, robot, config)
     bounds = Bounds.from_config(config["identification"]["bounds"])
     problem = Residuals(lambda p: model.cost.residuals(model.replay.run(p)), bounds, 13)
-    jacobian = central_jacobian(problem, np.log(parameters), 1e-3)
+    _, jacobian = central_jacobian(problem, np.log(parameters), 1e-3)
     rng = np.random.default_rng(2)
     shape = model.trial.interface.shape
     noises = []
@@ -160,22 +168,25 @@ def true_sd(person, truth, parameters: np.ndarray, noise_m: float, robot: Path, 
     return out
 
 
-def _one(job) -> dict:
-    person, truth, parameters, noise_m, seed, robot, config, without_pitch = job
+def assessed(person, truth, parameters, noise_m: float, seed: int, robot: Path, config: dict) -> dict:
+    """Fit and verdicts of one draw, beside its truth."""
+    start = time.process_time()
     model = measured_model(person, truth, noise_m, seed, robot, config)
     bounds = Bounds.from_config(config["identification"]["bounds"])
     options = config["identification"]["least_squares"]
     fit = search(lambda p: model.cost.residuals(model.replay.run(p)), bounds, batch=13, seed=seed, **options)
     verdicts = assess_model(model, fit.parameters, bounds, np.full(4, noise_m), robot=robot, settings=config)
+    used = time.process_time() - start
+    sd = true_sd(person, truth, parameters, noise_m, robot, config)
     return {
-        "without_pitch": without_pitch,
-        "true_sd": dict(
-            zip(PARAMETERS, true_sd(person, truth, parameters, noise_m, robot, config).tolist(), strict=True)
-        ),
+        # JSON has no infinity
+        "true_sd": dict(zip(PARAMETERS, np.minimum(sd, 1e6).tolist(), strict=True)),
         "noise_m": noise_m,
         "truth": dict(zip(PARAMETERS, parameters.tolist(), strict=True)),
         "fit": verdicts["parameters"],
         "J": verdicts["J"],
+        "evaluations": fit.evaluations + verdicts["evaluations"],
+        "cpu_s": used,
     }
 
 
@@ -188,36 +199,96 @@ def wilson(hits: int, n: int) -> tuple[float, float]:
     return (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
 
 
-def report(rows: list[dict]) -> None:
-    print(
-        f"{'parameter':9s} {'determined':>10s} {'covered':>8s} {'share':>7s}   95 % Wilson     not determined"
+def holds(row: dict, name: str) -> bool:
+    """Whether an interval holds the truth; a side without an end reaches to the bound."""
+    low, high = row["fit"][name]["ci95"]
+    return (low is None or low <= row["truth"][name]) and (high is None or row["truth"][name] <= high)
+
+
+def share(hits: int, n: int) -> dict:
+    """Hits, cases, their ratio and its 95 % interval."""
+    return {"hits": hits, "of": n, "share": hits / n if n else None, "ci95": wilson(hits, n) if n else None}
+
+
+def coverage_of(cases: list[tuple[dict, str]]) -> dict:
+    """How often the intervals of (row, parameter) hold the truth."""
+    return share(sum(holds(row, name) for row, name in cases), len(cases))
+
+
+def _line(label: str, result: dict) -> str:
+    if not result["of"]:
+        return f"{label:34s}    0"
+    low, high = result["ci95"]
+    return (
+        f"{label:34s} {result['hits']:4d} of {result['of']:4d} = {result['share']:.3f} ({low:.3f}-{high:.3f})"
     )
-    total = [0, 0]
-    for name in PARAMETERS:
-        sure = [r for r in rows if r["fit"][name]["verdict"] == DETERMINED]
-        hits = sum(r["fit"][name]["ci95"][0] <= r["truth"][name] <= r["fit"][name]["ci95"][1] for r in sure)
-        total[0] += hits
-        total[1] += len(sure)
-        low, high = wilson(hits, len(sure))
-        lost = sum(r["fit"][name]["verdict"] == NOT_DETERMINED for r in rows)
-        share = hits / len(sure) if sure else float("nan")
-        print(f"{name:9s} {len(sure):10d} {hits:8d} {share:7.3f}   {low:.3f}-{high:.3f}   {lost:10d}")
-    low, high = wilson(*total)
-    print(f"all       {total[1]:10d} {total[0]:8d} {total[0] / max(total[1], 1):7.3f}   {low:.3f}-{high:.3f}")
-    flat = [
-        r["fit"][name]["verdict"] for r in rows for name in PARAMETERS if r["true_sd"][name] >= FLAT_SD_LN
-    ]
-    hits = sum(v == NOT_DETERMINED for v in flat)
-    low, high = wilson(hits, len(flat))
-    print(f"flat profiles called not determined: {hits} of {len(flat)} ({low:.3f}-{high:.3f})")
+
+
+def report(rows: list[dict]) -> dict:
+    """Print and return the shares: intervals that hold the truth, flat profiles that are told as such."""
+    cases = [(row, name) for row in rows for name in PARAMETERS]
+    sure = [(r, n) for r, n in cases if r["fit"][n]["verdict"] == DETERMINED]
+    flat = [(r, n) for r, n in cases if r["true_sd"][n] >= FLAT_SD_LN]
+
+    def told(chosen: list[tuple[dict, str]]) -> dict:
+        return share(sum(r["fit"][n]["verdict"] == NOT_DETERMINED for r, n in chosen), len(chosen))
+
+    out = {
+        "draws": {kind: sum(row["kind"] == kind for row in rows) for kind in (NORMAL, FLAT)},
+        "cpu_s": {
+            kind: float(np.median([r["cpu_s"] for r in rows if r["kind"] == kind] or [0]))
+            for kind in (NORMAL, FLAT)
+        },
+        "determined": coverage_of(sure),
+        "determined_by_kind": {
+            kind: coverage_of([c for c in sure if c[0]["kind"] == kind]) for kind in (NORMAL, FLAT)
+        },
+        "determined_by_parameter": {
+            name: coverage_of([c for c in sure if c[1] == name]) for name in PARAMETERS
+        },
+        "weak": coverage_of([(r, n) for r, n in cases if r["fit"][n]["verdict"] == WEAK]),
+        "flat_told": told(flat),
+        "flat_told_by_parameter": {name: told([c for c in flat if c[1] == name]) for name in PARAMETERS},
+        "flat_told_otherwise": sorted({r["fit"][n]["verdict"] for r, n in flat} - {NOT_DETERMINED}),
+        "seen_called_not_determined": told([(r, n) for r, n in cases if r["true_sd"][n] < FLAT_SD_LN / 10]),
+    }
+    print(f"draws {out['draws']}, median CPU seconds each {out['cpu_s']}")
+    print(_line("determined: interval holds truth", out["determined"]) + "   bar 0.92-0.98")
+    for group in ("kind", "parameter"):
+        for name, result in out[f"determined_by_{group}"].items():
+            print("  " + _line(name, result))
+    print(_line("weak: interval holds truth", out["weak"]))
+    print(_line("flat profile: not determined", out["flat_told"]) + "   bar 0.90")
+    for name, result in out["flat_told_by_parameter"].items():
+        if result["of"]:
+            print("  " + _line(name, result))
+    if out["flat_told_otherwise"]:
+        print(f"  the others: {', '.join(out['flat_told_otherwise'])}")
+    print(_line("true SD < 0.1: not determined", out["seen_called_not_determined"]))
+    return out
+
+
+def finished(path: Path) -> dict[int, dict]:
+    """Draws in a file of rows by number; a last line that a killed run left half is dropped."""
+    rows = {}
+    if path.exists():
+        for line in path.read_text().splitlines():
+            try:
+                row = json.loads(line)
+            except ValueError:
+                continue
+            rows[row["draw"]] = row
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("coverage.json"))
+    parser.add_argument("--chunk", type=int, default=12, help="draws whose truth is simulated together")
+    parser.add_argument("--rows", type=Path, default=Path("coverage.jsonl"), help="finished draws")
+    parser.add_argument("--limit-s", type=float, default=np.inf, help="begin no further draw after this time")
+    parser.add_argument("--out", type=Path, help="the report as JSON")
     options = parser.parse_args()
     config = validated({}, "config", Path("defaults"))
     config["plant"]["timestep_s"] = 0.01
@@ -227,29 +298,34 @@ def main() -> None:
     bounds = Bounds.from_config(config["identification"]["bounds"])
     parameters = draws(options.draws, options.seed, bounds, phantom)
     noise = np.random.default_rng(options.seed + 1).uniform(0.0002, 0.0005, options.draws)
-    robots = [ROOT / config["paths"]["robot"], robot_without_pitch(options.out.resolve().parent)]
-    rows: list[dict] = []
+    folder = options.rows.resolve().parent
+    robots = {NORMAL: ROOT / config["paths"]["robot"], FLAT: robot_without_pitch(folder)}
+    rows = finished(options.rows)
+    # what a killed run left half must not run into the next row
+    write_text(options.rows, "".join(json.dumps(row) + "\n" for row in rows.values()))
     start = time.monotonic()
-    with ProcessPoolExecutor(options.workers) as pool:
-        for without_pitch, robot in enumerate(robots):
-            chosen = np.arange(without_pitch, options.draws, 2)
-            for chunk in np.array_split(chosen, max(len(chosen) // 20, 1)):
-                seed = 10_000 * options.seed + int(chunk[0])
+    with options.rows.open("a") as stream:
+        for chunk in np.array_split(np.arange(options.draws), -(-options.draws // options.chunk)):
+            for kind in (NORMAL, FLAT):
+                todo = [int(i) for i in chunk if KINDS[i % len(KINDS)] == kind and int(i) not in rows]
+                if not todo or time.monotonic() - start > options.limit_s:
+                    continue
+                robot = robots[kind]
+                seeds = [10_000 * options.seed + i for i in todo]
                 trials = true_trials(
-                    robot,
-                    translating(phantom) if without_pitch else phantom,
-                    config,
-                    parameters[chunk],
-                    seed,
+                    robot, translating(phantom) if kind == FLAT else phantom, config, parameters[todo], seeds
                 )
-                jobs = [
-                    (person, truth, parameters[i], noise[i], int(i), robot, config, bool(without_pitch))
-                    for i, (person, truth) in zip(chunk, trials, strict=True)
-                ]
-                rows += pool.map(_one, jobs)
-                print(f"{len(rows)}/{options.draws} draws, {time.monotonic() - start:.0f} s", file=sys.stderr)
-                options.out.write_text(json.dumps(rows) + "\n")
-    report(rows)
+                for i, (person, truth) in zip(todo, trials, strict=True):
+                    if time.monotonic() - start > options.limit_s:
+                        break
+                    row = assessed(person, truth, parameters[i], noise[i], i, robot, config)
+                    rows[i] = {"draw": i, "kind": kind} | row
+                    stream.write(json.dumps(rows[i]) + "\n")
+                    stream.flush()
+            print(f"{len(rows)}/{options.draws} draws, {time.monotonic() - start:.0f} s", file=sys.stderr)
+    result = report([rows[i] for i in sorted(rows)])
+    if options.out:
+        write_json(options.out, result)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,22 @@
-"""How long does the whole line take, and how much memory does a job need?
+"""How long does the whole line take, how much memory does a job need, and how do both grow with the people?
 
     python benchmarks/workflow.py --configfile config/quick.yaml
     python benchmarks/workflow.py
+    python benchmarks/workflow.py --people 5 10 20 --out scaling.json
 
-Clones the tree into a fresh folder, times the dry run and the run on 2 cores, and reads the peak memory of each job
-from Snakemake's own benchmark files.
+Clones the tree into a fresh folder, times the dry run and the run on 2 cores, and reads time and peak memory of each
+job from Snakemake's own benchmark files. With ``--people`` the phantom's cohort is enlarged to each number, with short
+trials and a small budget: doubling the people must double the time and leave the memory of a job as it is. Numbers that
+``--out`` already has are not run again.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import itertools
+import json
+import os
 import shutil
 import subprocess
 import sys
@@ -18,11 +24,24 @@ import tempfile
 import time
 from pathlib import Path
 
+import yaml
+
 ROOT = Path(__file__).parents[1]
 TREE = ("Snakefile", "workflow", "config", "resources", "profiles", "environment-lock.txt")
+# A trial long enough to be fitted, a sweep with as many levels as a breakpoint needs, and few evaluations
+SHORT_TRIALS = {"dynamic_s": 8.0, "walk_s": 3.0, "walk_robot_trials": 1, "neutral_s": 5.0}
+SHORT_SWEEP = {"loosest_cm": 8, "tightest_cm": 13, "safe_comfortable_cm": 10}
+SMALL_BUDGET = {
+    "cohort": "phantom",
+    "identification": {"restarts": 1, "evaluations": 44},
+    "tightness": {"bootstrap": 100, "permutations": 100},
+    "statistics": {"bootstrap": 500},
+}
 
 
 def clone(folder: Path) -> None:
+    """Copy the tracked tree without results."""
+    folder.mkdir(parents=True, exist_ok=True)
     for name in TREE:
         source = ROOT / name
         if source.is_dir():
@@ -31,7 +50,24 @@ def clone(folder: Path) -> None:
             shutil.copy2(source, folder / name)
 
 
+def enlarge(folder: Path, people: int) -> Path:
+    """Give the clone a cohort of so many people and return the configuration of a small budget."""
+    path = folder / "config" / "phantom.yaml"
+    phantom = yaml.safe_load(path.read_text(encoding="utf-8"))
+    known = list(phantom["cohort"].values())
+    phantom["cohort"] = {
+        f"S{i + 1:02d}": known[i % len(known)] | {"cohort": "calibration", "tightness": SHORT_SWEEP}
+        for i in range(people)
+    }
+    phantom["trials"] |= SHORT_TRIALS
+    path.write_text(yaml.safe_dump(phantom, sort_keys=False), encoding="utf-8")
+    budget = folder / "config" / "small.yaml"
+    budget.write_text(yaml.safe_dump(SMALL_BUDGET), encoding="utf-8")
+    return budget
+
+
 def timed(folder: Path, *arguments: str) -> float:
+    """Seconds that snakemake takes in a folder; ends the program where it fails."""
     start = time.monotonic()
     command = [sys.executable, "-m", "snakemake", *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -40,20 +76,8 @@ def timed(folder: Path, *arguments: str) -> float:
     return time.monotonic() - start
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--configfile", type=Path)
-    parser.add_argument("--cores", type=int, default=2)
-    parser.add_argument("--folder", type=Path, help="keep the clone here")
-    options = parser.parse_args()
-    temporary = Path(tempfile.mkdtemp())
-    folder = options.folder or temporary / "clone"
-    folder.mkdir(parents=True, exist_ok=True)
-    clone(folder)
-    extra = ["--configfile", str(options.configfile)] if options.configfile else []
-    print(f"dry run of a clean clone: {timed(folder, '-n', '--quiet', 'all', *extra):.1f} s")
-    whole = timed(folder, "--cores", str(options.cores), *extra)
-    print(f"whole line on {options.cores} cores: {whole / 60:.1f} min")
+def jobs_of(folder: Path) -> dict[str, list[tuple[float, float]]]:
+    """(seconds, peak MB) of each job by stage."""
     peaks: dict[str, list[tuple[float, float]]] = {}
     for path in sorted((folder / "logs" / "benchmarks").rglob("*.tsv")):
         stage = path.relative_to(folder / "logs" / "benchmarks").parts[0].removesuffix(".tsv")
@@ -61,12 +85,96 @@ def main() -> None:
             for row in csv.DictReader(stream, delimiter="\t"):
                 rss = float(row["max_rss"]) if row["max_rss"] not in ("-", "NA") else 0.0
                 peaks.setdefault(stage, []).append((float(row["s"]), rss))
-    print(f"{'stage':14s} {'jobs':>5s} {'seconds':>9s} {'longest':>9s} {'peak MB':>9s}")
+    return peaks
+
+
+def print_jobs(peaks: dict[str, list[tuple[float, float]]]) -> None:
+    print(f"{'stage':16s} {'jobs':>5s} {'seconds':>9s} {'longest':>9s} {'peak MB':>9s}")
     for stage, jobs in peaks.items():
         seconds = [s for s, _ in jobs]
         print(
-            f"{stage:14s} {len(jobs):5d} {sum(seconds):9.1f} {max(seconds):9.1f} {max(r for _, r in jobs):9.0f}"
+            f"{stage:16s} {len(jobs):5d} {sum(seconds):9.1f} {max(seconds):9.1f} {max(r for _, r in jobs):9.0f}"
         )
+
+
+def scale(people: int, cores: int) -> dict:
+    """Time of a run with so many people, and jobs, seconds and peak MB by stage."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "clone"
+        clone(folder)
+        extra = ["--configfile", str(enlarge(folder, people))]
+        parse = timed(folder, "-n", "--quiet", "all", *extra)
+        whole = timed(folder, "--cores", str(cores), *extra)
+        jobs = jobs_of(folder)
+    return {
+        "people": people,
+        "dry_run_s": parse,
+        "wall_s": whole,
+        "job_s": sum(s for own in jobs.values() for s, _ in own),
+        "load_average": os.getloadavg()[1],
+        "stages": {
+            stage: {
+                "jobs": len(own),
+                "seconds": sum(s for s, _ in own),
+                "peak_mb": max(r for _, r in own),
+            }
+            for stage, own in jobs.items()
+        },
+    }
+
+
+def report_scaling(runs: dict[str, dict]) -> None:
+    """Table over the numbers of people, and the ratios at each doubling."""
+    rows = [runs[key] for key in sorted(runs, key=int)]
+    print(f"{'people':>8s} {'wall s':>8s} {'per person':>10s} {'job s':>8s} {'dry run s':>9s} {'load':>5s}")
+    for row in rows:
+        print(
+            f"{row['people']:8d} {row['wall_s']:8.0f} {row['wall_s'] / row['people']:10.1f} {row['job_s']:8.0f}"
+            f" {row['dry_run_s']:9.1f} {row['load_average']:5.1f}"
+        )
+    for stage in rows[-1]["stages"]:
+        own = [row["stages"][stage]["peak_mb"] for row in rows if stage in row["stages"]]
+        print(f"peak MB of a job of {stage:16s} {'  '.join(f'{mb:6.0f}' for mb in own)}")
+    for less, more in itertools.pairwise(rows):
+        people = more["people"] / less["people"]
+        grown = max(
+            (more["stages"][s]["peak_mb"] / less["stages"][s]["peak_mb"], s)
+            for s in less["stages"]
+            if s in more["stages"] and less["stages"][s]["peak_mb"] > 0
+        )
+        print(
+            f"{less['people']} to {more['people']} people: {people:.1f} times the people,"
+            f" {more['wall_s'] / less['wall_s']:.2f} times the wall time,"
+            f" {more['job_s'] / less['job_s']:.2f} times the job time; memory of a job at most"
+            f" {grown[0]:.2f} times ({grown[1]})"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--configfile", type=Path)
+    parser.add_argument("--cores", type=int, default=2)
+    parser.add_argument("--folder", type=Path, help="keep the clone here")
+    parser.add_argument("--people", type=int, nargs="+", help="sizes of the cohort")
+    parser.add_argument("--out", type=Path, help="JSON of the runs with --people")
+    options = parser.parse_args()
+    if options.people:
+        runs = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
+        for people in options.people:
+            if str(people) not in runs:
+                runs[str(people)] = scale(people, options.cores)
+                if options.out:
+                    options.out.write_text(json.dumps(runs, indent=1) + "\n")
+        report_scaling(runs)
+        return
+    temporary = Path(tempfile.mkdtemp())
+    folder = options.folder or temporary / "clone"
+    clone(folder)
+    extra = ["--configfile", str(options.configfile)] if options.configfile else []
+    print(f"dry run of a clean clone: {timed(folder, '-n', '--quiet', 'all', *extra):.1f} s")
+    whole = timed(folder, "--cores", str(options.cores), *extra)
+    print(f"whole line on {options.cores} cores: {whole / 60:.1f} min")
+    print_jobs(jobs_of(folder))
     shutil.rmtree(temporary)
 
 

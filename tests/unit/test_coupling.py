@@ -33,7 +33,7 @@ PRIOR = np.array([725, 2120, 3850, 39.2, 122, 15.2, 588, 133, 70.8, 1.26, 2.2, 7
 REST = RestPose(np.eye(3), np.array([-0.08, 0.0, -0.02]))
 
 
-def replay_of(offset: np.ndarray, *, nsim=1, limits=None, timestep=None, robot=ROBOT) -> Replay:
+def replay_of(offset: np.ndarray, *, nsim=1, limits=None, timestep=None, robot=ROBOT, threads=1) -> Replay:
     """Replay whose pelvis is ``offset`` (n, 6) [m, rad] from rest."""
     plant = CONFIG["plant"] | ({"timestep_s": timestep} if timestep else {})
     return Replay(
@@ -48,6 +48,7 @@ def replay_of(offset: np.ndarray, *, nsim=1, limits=None, timestep=None, robot=R
         rest=REST,
         limits=limits,
         nsim=nsim,
+        threads=threads,
     )
 
 
@@ -166,6 +167,15 @@ def test_each_simulation_is_its_own_whatever_the_batch():
     together = replay.run(np.array([PRIOR, other, PRIOR]))
     assert np.array_equal(together[0], together[2])
     assert np.array_equal(replay.run(other[None])[0], together[1])
+
+
+def test_threads_change_no_bit():
+    motion, many = smooth_motion(2.0), PRIOR * np.linspace(0.6, 1.8, 7)[:, None]
+    limits = JointLimits(np.full(6, -0.03), np.full(6, 0.03))
+    one, two = (replay_of(motion, nsim=7, limits=limits, threads=n) for n in (1, 2))
+    assert np.array_equal(one.run(many), two.run(many))
+    # fewer simulations than the batch holds, and again after other parameters
+    assert np.array_equal(one.run(many[4:]), two.run(many[4:]))
 
 
 def test_joint_limits_stop_the_strap():

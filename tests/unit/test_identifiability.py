@@ -10,6 +10,8 @@ from real2sim.identification.identifiability import (
     DETERMINED,
     NOT_DETERMINED,
     WEAK,
+    NoiseTerms,
+    _verdict,
     assess,
     long_run_covariance,
     profile_end,
@@ -171,6 +173,8 @@ def test_bias_is_taken_off_the_interval_and_doubted_when_large():
     exact = np.exp(TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0])
     shift = np.zeros(12)
     shift[0], shift[1] = 0.05, 0.3
+    # the slope of what noise adds that pulls a quadratic's minimum by so much
+    pull = -columns.T @ columns @ shift
     rows = assess(
         linear(columns, noise),
         exact,
@@ -179,13 +183,108 @@ def test_bias_is_taken_off_the_interval_and_doubted_when_large():
         batch=13,
         rate_hz=100,
         settings=SETTINGS,
-        bias=lambda z, information, free: shift,
+        noise=lambda z: NoiseTerms(pull, np.zeros((12, 12))),
     )["parameters"]
     middle = np.sqrt(rows["k_tx"]["ci95"][0] * rows["k_tx"]["ci95"][1])
     assert middle == pytest.approx(rows["k_tx"]["value"] * np.exp(-0.05), rel=1e-3)
     assert rows["k_tx"]["verdict"] == DETERMINED
     assert rows["k_ty"]["verdict"] == WEAK
     assert "noise of the pelvis" in rows["k_ty"]["reason"]
+
+
+def test_noisy_input_is_told_from_information():
+    # y = theta x + e, but x is measured as w = x + u: least squares is pulled down by sd_u^2 / (sd_x^2 + sd_u^2)
+    sd_u, sd_e, per = 0.3, 0.1, N // 12
+    hits = naive = cases = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        x, u = rng.standard_normal((12, per)), sd_u * rng.standard_normal((12, per))
+        w, y = x + u, 40.0 * x + 40.0 * sd_e * rng.standard_normal((12, per))
+
+        def residuals(parameters, w=w, y=y):
+            # the parameters' samples take turns
+            return (parameters[:, :, None] * w - y).transpose(0, 2, 1).reshape(len(parameters), -1)
+
+        def noise(z):
+            energy = np.exp(2 * z) * per * sd_u**2
+            return NoiseTerms(energy, np.diag(energy))
+
+        fit = np.sum(w * y, axis=1) / np.sum(w * w, axis=1)
+        options = {"batch": 13, "rate_hz": 100, "settings": SETTINGS}
+        told = assess(residuals, fit, np.arange(len(w.ravel())), BOUNDS, noise=noise, **options)
+        blind = assess(residuals, fit, np.arange(len(w.ravel())), BOUNDS, **options)
+        for name in PARAMETERS:
+            low, high = told["parameters"][name]["ci95"]
+            hits += low <= 40.0 <= high
+            low, high = blind["parameters"][name]["ci95"]
+            naive += low <= 40.0 <= high
+            cases += 1
+    assert 0.90 <= hits / cases <= 0.99
+    assert naive / cases < 0.5
+
+
+def test_information_that_is_all_noise_determines_nothing():
+    columns = design(np.ones(12))
+    curvature = np.zeros((12, 12))
+    # everything that the third parameter moves, the noise of the input moves
+    curvature[2, 2] = (columns.T @ columns)[2, 2]
+    noise = 0.01 * np.random.default_rng(9).standard_normal(N)
+    exact = np.exp(TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0])
+    options = {"batch": 13, "rate_hz": 100, "settings": SETTINGS}
+    fit = linear(columns, noise)
+    blind = assess(fit, exact, np.arange(N), BOUNDS, **options)["parameters"]
+    told = assess(
+        fit, exact, np.arange(N), BOUNDS, noise=lambda z: NoiseTerms(np.zeros(12), curvature), **options
+    )["parameters"]
+    assert blind["k_tz"]["verdict"] == DETERMINED
+    assert told["k_tz"]["sd_ln"] > 10 * blind["k_tz"]["sd_ln"]
+    assert told["k_tz"]["verdict"] in (WEAK, NOT_DETERMINED)
+    assert told["k_tx"]["sd_ln"] == pytest.approx(blind["k_tx"]["sd_ln"], rel=0.1)
+
+
+def test_parameter_that_is_flat_up_to_its_bound_is_not_determined():
+    strength = np.ones(12)
+    strength[2] = 0.004
+    columns = design(strength)
+    noise = 0.01 * np.random.default_rng(6).standard_normal(N)
+    beyond = TRUTH.copy()
+    beyond[2] = np.log(1e6)
+    start = np.exp(TRUTH)
+    start[2] = 999.0
+    row = assess(
+        lambda p: (np.log(p) - beyond) @ columns.T + noise,
+        start,
+        np.arange(N),
+        BOUNDS,
+        batch=13,
+        rate_hz=100,
+        settings=SETTINGS,
+    )["parameters"]["k_tz"]
+    assert row["value"] == pytest.approx(1000.0, rel=0.02)
+    assert row["verdict"] == NOT_DETERMINED
+    assert row["ci95"][1] is None
+
+
+def test_far_reach_from_the_bound_is_not_determined_and_a_short_one_is_at_bound():
+    def told(reach):
+        ends = [None, np.log(reach)]
+        return _verdict("k_tz", 0.0, ends, 0.3, 0.0, True, SETTINGS)["verdict"]
+
+    assert told(1.5) == AT_BOUND
+    assert told(5.0) == NOT_DETERMINED
+
+
+def test_profile_of_a_jagged_cost_ends():
+    # refits that stop in one of many steps must not send the walk on for ever
+    def residuals(parameters):
+        z = np.log(parameters) - TRUTH
+        jump = 0.5 * np.floor(3 * np.abs(z[:, 3:4])) * (np.sin(40 * z[:, 3:4]) > 0)
+        return np.hstack([z, jump])
+
+    problem = Residuals(residuals, BOUNDS, 13)
+    end = profile_end(problem, TRUTH, 0.0, 3, 1, sd=0.3, threshold=0.5, iterations=4)
+    assert end is None or TRUTH[3] < end <= problem.upper[3]
+    assert problem.evaluations < 1500
 
 
 def test_block_bootstrap_covers_the_mean_of_a_correlated_series():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -108,3 +109,13 @@ def test_misnamed_trial_is_refused_before_any_job(project):
     assert done.returncode != 0
     assert "dynamic-1.tsv" in done.stdout
     assert "remedy" in done.stdout
+
+
+def test_a_fit_is_told_its_threads(project):
+    target = "results/fits/S01/dynamic_1/restart-1.json"
+    for threads, options in ((1, ()), (2, ("--set-threads", "fit=2"))):
+        # the project's profile does not print commands
+        text = project.snakemake(
+            target, "-n", "-p", "--cores", "2", "--workflow-profile", "none", *options
+        ).stdout
+        assert re.findall(r"--threads (\d+)", text) == [str(threads)]

@@ -67,8 +67,8 @@ rule fit:
     shell:
         "python -m real2sim fit --subject {wildcards.subject} --trial {wildcards.trial} --restart {wildcards.restart}"
         " --pose {input.pose:q} --markers {input.markers:q} --limits {input.limits:q} --step {input.step:q}"
-        " --gates {input.gates:q} --robot {input.robot:q} --settings {params.settings:q} --out {output:q} 2>&1"
-        " | tee {log:q}"
+        " --gates {input.gates:q} --robot {input.robot:q} --settings {params.settings:q} --threads {threads}"
+        " --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule assessment:

@@ -13,7 +13,6 @@ first-order error, which leaves second order (measured: benchmarks/plant.py).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,7 +115,8 @@ def robot_pose_for(robot: mujoco.MjModel, rotation: np.ndarray, position: np.nda
     raise ValueError(f"the robot twin cannot reach the interface pose at {np.round(position, 3)} m")
 
 
-def _impedances(robot_settings: dict, controller: str) -> dict[str, dict[str, float]]:
+def impedances(robot_settings: dict, controller: str) -> dict[str, dict[str, float]]:
+    """Stiffness and damping of the robot's joints by name, from the slice ``robot`` of the configuration."""
     base, arm = robot_settings[controller], robot_settings["arm"]
     return {
         **{f"base_{name}": base[name] for name in ("x", "y", "yaw")},
@@ -135,7 +135,7 @@ INERTIAL_CONSTANTS: dict[str, tuple[str, int | None]] = {
 }
 
 
-def _drop_geoms(spec: mujoco.MjSpec) -> None:
+def drop_geoms(spec: mujoco.MjSpec) -> None:
     """Take away shapes of bodies whose inertia is written down: nothing touches, but each costs time at every step."""
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         return
@@ -158,7 +158,7 @@ def _scale_inertia(spec: mujoco.MjSpec, key: str, factor: float) -> None:
         body.inertia = inertia
 
 
-def build_plant(
+def plant_spec(
     robot: Path,
     robot_settings: dict,
     plant_settings: dict,
@@ -169,9 +169,8 @@ def build_plant(
     reference_origin: np.ndarray,
     controller: str = "hold",
     scale: dict[str, float] | None = None,
-    extend: Callable[[mujoco.MjSpec], None] | None = None,
-) -> mujoco.MjModel:
-    """Compile the plant with neutral strap parameters (set them per simulation, see `replay.Replay`).
+) -> mujoco.MjSpec:
+    """Describe the plant, the strap without stiffness and damping (set them per simulation, see `replay.Replay`).
 
     Parameters
     ----------
@@ -187,11 +186,9 @@ def build_plant(
         Frame of the pelvis drive in the world.
     scale
         Factors on inertial constants of the robot by name (`INERTIAL_CONSTANTS`), to see what hangs on them.
-    extend
-        Adds elements to the finished description before it is compiled.
     """
     spec = load_robot(robot)
-    _drop_geoms(spec)
+    drop_geoms(spec)
     for key, factor in (scale or {}).items():
         _scale_inertia(spec, key, factor)
     h = float(plant_settings["timestep_s"])
@@ -200,7 +197,7 @@ def build_plant(
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     # the arm works about gravity balance and the base in the plane: weight does no work on the plant
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    for name, impedance in _impedances(robot_settings, controller).items():
+    for name, impedance in impedances(robot_settings, controller).items():
         joint = spec.joint(name)
         joint.stiffness = [impedance["stiffness"], 0, 0]
         joint.damping = [impedance["damping"], 0, 0]
@@ -255,8 +252,11 @@ def build_plant(
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             objname=name,
         )
-    if extend is not None:
-        extend(spec)
+    return spec
+
+
+def compiled(spec: mujoco.MjSpec, robot: Path) -> mujoco.MjModel:
+    """Compile a plant; raises InputError naming the robot twin (MJCF) where MuJoCo refuses it."""
     try:
         return spec.compile()
     except ValueError as error:

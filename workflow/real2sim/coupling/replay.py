@@ -14,8 +14,9 @@ from real2sim.coupling.plant import (
     STRAP_JOINTS,
     JointLimits,
     RestPose,
-    build_plant,
+    compiled,
     load_robot,
+    plant_spec,
     robot_pose_for,
     servo_gains,
 )
@@ -29,7 +30,7 @@ class Replay:
     Parameters
     ----------
     robot, robot_settings, plant_settings, rest, limits
-        See `plant.build_plant`.
+        See `plant.plant_spec`.
     time_s, pelvis_rotation, pelvis_position
         Measured pelvis path: (n,), (n, 3, 3), (n, 3) [s, m], uniformly sampled.
     start_rotation, start_position
@@ -40,6 +41,8 @@ class Replay:
         Factors on inertial constants of the robot (`plant.INERTIAL_CONSTANTS`).
     drive
         Of the same path and time step, where another replay has made it already.
+    threads
+        That step the simulations of a call. Results are the same bits with any number.
 
     Attributes
     ----------
@@ -49,6 +52,8 @@ class Replay:
         Steps per sample.
     nsim
         Most simulations per call.
+    spec, model
+        The plant, described and compiled.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class Replay:
         nsim: int,
         scale: dict[str, float] | None = None,
         drive: PelvisDrive | None = None,
+        threads: int = 1,
     ):
         h = float(plant_settings["timestep_s"])
         sample = float(time_s[1] - time_s[0])
@@ -81,7 +87,7 @@ class Replay:
             raise InputError(
                 robot, "", str(error), "a twin that reaches the measured start pose", "Check its geometry."
             ) from error
-        self.model = build_plant(
+        self.spec = plant_spec(
             robot,
             robot_settings,
             plant_settings,
@@ -91,15 +97,16 @@ class Replay:
             self.drive.reference_rotation,
             self.drive.reference_origin,
             scale=scale,
-            extend=self._extend,
         )
+        self._extend(self.spec)
+        self.model = compiled(self.spec, robot)
         self._robot_file = robot
         self.nstep = len(self.drive.position)
         command = np.zeros((self.nstep, self.model.nu))
         command[:, :6] = servo_command(self.drive)
         self._control = np.tile(command, (nsim, 1, 1))
         self.nsim = nsim
-        self._batch = Batch(self.model, nsim, 1)
+        self._batch = Batch(self.model, nsim, threads)
         joints = [self.model.joint(name) for name in STRAP_JOINTS]
         self._dofs = np.array([j.dofadr[0] for j in joints])
         self._joints = np.array([j.id for j in joints])

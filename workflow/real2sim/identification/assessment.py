@@ -9,9 +9,10 @@ import numpy as np
 
 from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.coupling.plant import INERTIAL_CONSTANTS
+from real2sim.coupling.replay import Replay
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from real2sim.identification.fit import best_of
-from real2sim.identification.identifiability import AT_BOUND, assess
+from real2sim.identification.identifiability import AT_BOUND, NoiseTerms, assess
 from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector, unit
 from real2sim.identification.trial import Trial, TrialModel, replay_of, trial_model, with_step
 from real2sim.provenance import fingerprint
@@ -40,50 +41,45 @@ def with_pelvis_noise(trial: Trial, noise_m: np.ndarray, settings: dict, rng: np
     )
 
 
-def input_noise_bias(
-    model: TrialModel,
-    z: np.ndarray,
-    information: np.ndarray,
-    free: np.ndarray,
-    noise_m: np.ndarray,
-    *,
-    robot: Path,
-    settings: dict,
-) -> np.ndarray:
-    """First-order bias (12,) of a fit in ln-parameters, because the replayed pelvis is itself noisy.
-
-    Noise in the input adds E|d(z)|^2 to the cost, d the plant's response to it, and so pulls the minimum towards
-    parameters that pass less of it on: the bias is -(1/2) H^-1 of that term's gradient (errors in variables, Carroll
-    et al. 2006, chapter 3). The response is simulated with noise of the SD seen in the neutral trial.
+class InputNoise:
+    """What noise of the replayed pelvis adds to the cost of a trial, simulated.
 
     Parameters
     ----------
-    model, z, information, free
-        Trial, ln-parameters of the fit (12,), H (12, 12) and the parameters that are not at a bound.
+    model
+        The trial.
     noise_m
-        (4,) SD of the white noise of the pelvis markers before the low-pass [m].
+        (4,) SD of the white noise of the pelvis markers before the low-pass [m], as seen in the neutral trial.
+    robot, settings
+        MJCF and the slices ``identifiability``, ``ingest``, ``plant`` and ``robot`` of the configuration.
     """
-    options = settings["identifiability"]
-    step = options["bias_step_ln"]
-    points = np.vstack([z + step * np.eye(12), z - step * np.eye(12)])[np.concatenate([free, 12 + free])]
-    rng = np.random.default_rng(options["seed"])
-    batch = model.replay.nsim
 
-    def simulated(replay) -> np.ndarray:
-        parts = [replay.run(np.exp(points[i : i + batch])) for i in range(0, len(points), batch)]
-        return np.concatenate(parts)
+    def __init__(self, model: TrialModel, noise_m: np.ndarray, *, robot: Path, settings: dict):
+        options = settings["identifiability"]
+        rng = np.random.default_rng(options["seed"])
+        trials = [
+            with_pelvis_noise(model.trial, noise_m, settings["ingest"], rng)
+            for _ in range(options["bias_draws"])
+        ]
+        self._model, self._step = model, options["bias_step_ln"]
+        nsim = model.replay.nsim
+        self._noisy = [replay_of(trial, model.limits, robot, settings, nsim=nsim) for trial in trials]
 
-    clean = simulated(model.replay)
-    energy = np.zeros(len(points))
-    for _ in range(options["bias_draws"]):
-        noisy = with_pelvis_noise(model.trial, noise_m, settings["ingest"], rng)
-        response = simulated(replay_of(noisy, model.limits, robot, settings, nsim=batch)) - clean
-        energy += model.cost.energy(response)
-    k = len(free)
-    gradient = (energy[:k] - energy[k:]) / (2 * step * options["bias_draws"])
-    bias = np.zeros(12)
-    bias[free] = -np.linalg.lstsq(2 * information[np.ix_(free, free)], gradient, rcond=1e-10)[0]
-    return bias
+    def _residuals(self, replay: Replay, points: np.ndarray) -> np.ndarray:
+        parts = [np.exp(points[i : i + replay.nsim]) for i in range(0, len(points), replay.nsim)]
+        return np.concatenate([self._model.cost.residuals(replay.run(part)) for part in parts])
+
+    def __call__(self, z: np.ndarray) -> NoiseTerms:
+        """Terms at ln-parameters z (12,)."""
+        points = np.vstack([z, z + self._step * np.eye(12)])
+        clean = self._residuals(self._model.replay, points)
+        score, curvature = np.zeros(12), np.zeros((12, 12))
+        for replay in self._noisy:
+            response = self._residuals(replay, points) - clean
+            change = ((response[1:] - response[0]) / self._step).T
+            score += change.T @ response[0]
+            curvature += change.T @ change
+        return NoiseTerms(score / len(self._noisy), curvature / len(self._noisy))
 
 
 def robot_sensitivity(
@@ -156,11 +152,7 @@ def assess_model(
         batch=model.replay.nsim,
         rate_hz=rate,
         settings=settings["identifiability"],
-        bias=None
-        if noise_m is None
-        else lambda z, information, free: input_noise_bias(
-            model, z, information, free, noise_m, robot=robot, settings=settings
-        ),
+        noise=None if noise_m is None else InputNoise(model, noise_m, robot=robot, settings=settings),
     )
     result["input_noise_m"] = None if noise_m is None else noise_m.tolist()
     return result

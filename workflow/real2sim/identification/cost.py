@@ -78,13 +78,6 @@ class TrialCost:
         rate *= np.sqrt(self._weight_rate)[:, :, None] / self.scales.velocity
         return np.concatenate([error.reshape(m, -1), rate.reshape(m, -1)], axis=1)
 
-    def energy(self, difference: np.ndarray) -> np.ndarray:
-        """What differences of paths (m, n, 2, 3) [m] would cost by themselves, (m,)."""
-        rate = (difference[:, 2:] - difference[:, :-2]) * self._half_rate
-        position = np.einsum("mscx,mscx,sc->m", difference, difference, self._weight)
-        velocity = np.einsum("mscx,mscx,sc->m", rate, rate, self._weight_rate)
-        return position / self.scales.position**2 + velocity / self.scales.velocity**2
-
     def sample_of_residual(self) -> np.ndarray:
         """Sample index (n_r,) of each residual: what is near in time is not independent."""
         n = len(self.measured)

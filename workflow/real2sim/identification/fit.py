@@ -90,6 +90,7 @@ def fit_restart(
     settings: dict,
     out: Path,
     gates: list[Path] | None = None,
+    threads: int = 1,
 ) -> None:
     """Identify the 12 interface parameters of one trial from one log-uniform start (paper, section III-B).
 
@@ -102,6 +103,8 @@ def fit_restart(
     gates
         Verdicts on the trial and on those that the fit rests on (`quality.verdict.require`); None where the caller
         vouches for them, as benchmarks do.
+    threads
+        That the replays may use. The file is the same bytes with any number.
     out
         JSON with parameters [SI], cost and its terms, history, replay check, settings and provenance.
 
@@ -116,7 +119,15 @@ def fit_restart(
     bounds = Bounds.from_config(ident["bounds"])
     seed = restart_seed(ident["seed"], subject, trial, restart)
     batch = ident["population"] if ident["method"] == "cma" else BATCH
-    model = trial_model(pose=pose, markers=markers, limits=limits, robot=robot, settings=settings, nsim=batch)
+    model = trial_model(
+        pose=pose,
+        markers=markers,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        nsim=batch,
+        threads=threads,
+    )
     model.replay.check_bounds(bounds.upper[6:])
     label = f"{subject} {trial} restart {restart}"
     result = _search(model, bounds, ident, seed, _Progress(label, ident["evaluations"]))

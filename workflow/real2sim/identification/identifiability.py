@@ -5,6 +5,11 @@ H = GᵀG of a cost J = rᵀr. Residuals of a filtered, simulated trial are corr
 sandwich H⁻¹ S H⁻¹ with S the long-run covariance of the scores G_tᵀ r_t (Newey & West 1987, Bartlett kernel). The same
 ratio of sandwich to naive variance calibrates the threshold of the profile of J (Kent 1982), so that curvature and
 profile speak of the same 95 %.
+
+The input of a replay, the pelvis, is itself measured. Its noise moves the plant, and what it moves costs: J(z) has the
+expectation of the true cost plus E(z), the energy of the plant's response to noise, whose slope pulls a fit aside and
+whose curvature passes for information. Both are taken off (corrected score, Nakamura 1990; Carroll et al. 2006,
+chapter 7): intervals belong to the minimum of J - E, and H loses what E contributes to it.
 """
 
 from __future__ import annotations
@@ -31,28 +36,52 @@ _TRIAL = {
 }
 
 
+# Of the information in a direction at least this share is left, however much of it the noise of the input explains: the
+# noise is known to a few per cent only
+LEAST_SHARE = 0.05
+# Of the variance that white residuals would give
+LEAST_OF_WHITE = 0.1
+# Of a step towards the corrected fit, and when it is small enough to stop: ln-units, standard deviations
+LARGEST_STEP, SMALL_STEP_SD = 1.0, 0.2
+# Up to so many thresholds a profile is taken for a parabola
+PARABOLA = 4.0
+
+
+@dataclass(frozen=True)
+class NoiseTerms:
+    """What noise of the input adds to J: ``score`` (12,), half its gradient, and ``curvature`` (12, 12)."""
+
+    score: np.ndarray
+    curvature: np.ndarray
+
+
 @dataclass(frozen=True)
 class Information:
-    """Information of one fit in ln-parameters.
+    """Information at one point in ln-parameters.
 
-    ``jacobian`` (n_r, 12), ``information`` H (12, 12), ``covariance`` (12, 12; NaN rows for parameters left out) and
-    ``inflation`` (12,), the ratio of sandwich to naive variance times the cost per degree of freedom it replaces.
+    ``score`` (12,) half the gradient of the corrected cost, ``information`` H (12, 12) less the
+    noise's, ``covariance`` (12, 12; NaN rows for parameters left out) and ``inflation`` (12,), the ratio of sandwich to
+    naive variance times the cost per degree of freedom it replaces.
     """
 
-    jacobian: np.ndarray
+    score: np.ndarray
     information: np.ndarray
     covariance: np.ndarray
     inflation: np.ndarray
 
+    def sd(self) -> np.ndarray:
+        """Standard deviations (12,) in ln-units, NaN where a parameter is left out."""
+        return np.sqrt(np.diag(self.covariance))
 
-def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> np.ndarray:
-    """Jacobian (n_r, 12) of the residuals at ln-parameters z (12,) by central differences, one-sided at a bound."""
+
+def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n_r,) and Jacobian (n_r, 12) at ln-parameters z (12,) by central differences, one-sided at a bound."""
     up, down = np.minimum(z + step, residuals.upper), np.maximum(z - step, residuals.lower)
-    points = np.tile(z, (24, 1))
+    points = np.tile(z, (25, 1))
     points[np.arange(12), np.arange(12)] = up
     points[np.arange(12, 24), np.arange(12)] = down
     out = residuals.many(points)
-    return ((out[:12] - out[12:]) / (up - down)[:, None]).T
+    return out[24], ((out[:12] - out[12:24]) / (up - down)[:, None]).T
 
 
 def long_run_covariance(scores: np.ndarray, lags: int) -> np.ndarray:
@@ -67,42 +96,101 @@ def long_run_covariance(scores: np.ndarray, lags: int) -> np.ndarray:
     return total
 
 
+def per_sample(values: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """Sum the rows of values (n_r, k) that belong to the same sample, (n, k)."""
+    out = np.zeros((int(sample.max()) + 1, values.shape[1]))
+    np.add.at(out, sample, values)
+    return out
+
+
+def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """Information (12, 12) without what the noise of the input contributes, positive definite."""
+    # a parameter that moves nothing has a share of nothing
+    whole = information + 1e-13 * np.trace(information) * np.eye(len(information))
+    lower = np.linalg.cholesky(whole)
+    half = np.linalg.solve(lower, curvature)
+    share, directions = np.linalg.eigh(np.linalg.solve(lower, half.T))
+    spread = lower @ directions
+    return (spread * np.clip(1 - share, LEAST_SHARE, 1.0)) @ spread.T
+
+
 def information(
-    residuals: Residuals,
-    z: np.ndarray,
+    residual: np.ndarray,
+    jacobian: np.ndarray,
     sample: np.ndarray,
     free: np.ndarray,
     *,
-    step: float,
     lags: int,
+    noise: NoiseTerms | None = None,
 ) -> Information:
-    """Information and covariance of a fit at ln-parameters z (12,).
+    """Information and covariance at a point, from its residuals (n_r,) and their Jacobian (n_r, 12).
 
     ``sample`` (n_r,) is the sample index of each residual; ``free`` lists the parameters that are not at a bound;
-    ``lags`` is the range of autocorrelation that is taken into account [samples].
+    ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input there.
     """
-    jacobian = central_jacobian(residuals, z, step)
-    residual = residuals.many(z[None])[0]
-    full = jacobian.T @ jacobian
-    n = int(sample.max()) + 1
-    scores = np.zeros((n, 12))
-    np.add.at(scores, sample, jacobian * residual[:, None])
-    part = full[np.ix_(free, free)]
+    scores = per_sample(jacobian * residual[:, None], sample)
+    total, full = scores.sum(axis=0), jacobian.T @ jacobian
+    if noise is not None:
+        total, full = total - noise.score, less_noise(full, noise.curvature)
     # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
-    inner = np.linalg.inv(part + 1e-13 * np.trace(part) * np.eye(len(free)))
-    meat = long_run_covariance(scores[:, free], lags)
-    # each parameter takes up one effective sample; blocks of the kernel's width are the effective samples
-    used = int(np.any(scores != 0, axis=1).sum())
-    blocks = max(used / (lags + 1), len(free) + 2)
-    sandwich = inner @ meat @ inner * blocks / (blocks - len(free))
-    white = float(residual @ residual) / (len(residual) - len(free)) * inner
-    # where correlated residuals claim to know more than white ones would, they are not believed
-    sandwich += np.diag(np.maximum(np.diag(white) - np.diag(sandwich), 0.0))
+    full = full + 1e-13 * np.trace(full) * np.eye(12)
+    inner = np.linalg.inv(full[np.ix_(free, free)])
+    # the score of a fit is zero, that of a corrected one is the noise's: only the scatter counts
+    used = np.any(scores != 0, axis=1)
+    centred = np.where(used[:, None], scores - scores[used].mean(axis=0), 0.0)
+    meat = long_run_covariance(centred[:, free], lags)
+    # each parameter takes up one effective sample, of which Bartlett's kernel sees 3 n / (2 lags) (Priestley 1981, 6.2)
+    effective = max(1.5 * used.sum() / (lags + 1), len(free) + 2)
+    sandwich = inner @ meat @ inner * effective / (effective - len(free))
+    # a slow signature is known better than white residuals would let it be, but not out of all proportion, and one that
+    # is zero has no scores to scatter
+    white = LEAST_OF_WHITE * float(residual @ residual) / len(residual) * np.diag(inner)
+    sandwich += np.diag(np.maximum(white - np.diag(sandwich), 0.0))
     covariance = np.full((12, 12), np.nan)
     covariance[np.ix_(free, free)] = sandwich
     inflation = np.full(12, np.nan)
     inflation[free] = np.diag(sandwich) / np.diag(inner)
-    return Information(jacobian, full, covariance, inflation)
+    return Information(total, full, covariance, inflation)
+
+
+def corrected_fit(
+    residuals: Residuals,
+    z: np.ndarray,
+    sample: np.ndarray,
+    noise: Callable[[np.ndarray], NoiseTerms],
+    *,
+    step: float,
+    lags: int,
+    iterations: int,
+) -> tuple[np.ndarray, NoiseTerms]:
+    """Minimum of the cost less what the noise of the input adds to it, by Newton steps from a fit z (12,).
+
+    Returns ln-parameters (12,) and the noise's terms at the last point that was looked at.
+    """
+    point = z
+    for _ in range(iterations):
+        terms = noise(point)
+        residual, jacobian = central_jacobian(residuals, point, step)
+        info = information(residual, jacobian, sample, np.arange(12), lags=lags, noise=terms)
+        move = _newton_step(info, point, residuals)
+        point = np.clip(point + move, residuals.lower, residuals.upper)
+        if np.all(np.abs(move) <= SMALL_STEP_SD * info.sd()):
+            break
+    return point, terms
+
+
+def _newton_step(info: Information, z: np.ndarray, residuals: Residuals) -> np.ndarray:
+    """Step (12,) down the corrected cost; parameters that it would push through their bound stay."""
+    free = np.ones(12, bool)
+    move = np.zeros(12)
+    for _ in range(3):
+        move[:] = 0.0
+        move[free] = -np.linalg.solve(info.information[np.ix_(free, free)], info.score[free])
+        stuck = free & (((z <= residuals.lower) & (move < 0)) | ((z >= residuals.upper) & (move > 0)))
+        if not stuck.any():
+            break
+        free &= ~stuck
+    return np.clip(move, -LARGEST_STEP, LARGEST_STEP)
 
 
 def profile_end(
@@ -118,35 +206,38 @@ def profile_end(
 ) -> float | None:
     """Where J, refitted over the other parameters, has risen by ``threshold`` on one side of a fit.
 
-    Asks at the bound first: a flat side is known after one refit. Otherwise walks outwards in growing steps, the
-    first of them ``sd`` (ln-units, at most a half), and interpolates. Returns the ln-value, or None if J has not
-    risen at the bound.
+    The first refit is where a parabola with this ``sd`` (ln-units) ends; from there outwards in growing steps until J
+    has risen. Returns the ln-value, or None if J has not risen at the bound.
     """
     others = np.delete(np.arange(12), index)
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
+    start, inner, low = z, float(z[index]), 0.0
+    stride = float(np.clip(1.96 * sd, 0.05, 1.0))
+    outer: tuple[float, float] | None = None
 
-    def refitted(start: np.ndarray, value: float) -> tuple[np.ndarray, float]:
-        moved = start.copy()
-        moved[index] = value
-        best, found, _, _ = minimise(residuals, moved, others, iterations=iterations, ftol=1e-4)
-        return best, found
+    def root(outer: tuple[float, float]) -> float:
+        # J is near a parabola, its root nearly linear
+        there, high = outer
+        return inner + (there - inner) * float((np.sqrt(threshold) - low) / max(high - low, 1e-12))
 
-    at_bound, found = refitted(z, bound)
-    if found - cost <= threshold:
-        return None
-    here, last, start, stride = float(z[index]), cost, z, min(max(sd, 0.05), 0.5)
     while True:
-        there = here + direction * stride
-        if (bound - there) * direction <= 0:
-            there = bound
-        else:
-            start, found = refitted(start, there)
-        rise = (found if there != bound else refitted(at_bound, bound)[1]) - cost
+        there = inner + direction * stride if outer is None else root(outer)
+        there = bound if (bound - there) * direction <= 0 else there
+        moved = start.copy()
+        moved[index] = there
+        best, found, _, _ = minimise(residuals, moved, others, iterations=iterations, ftol=1e-4)
+        rise = found - cost
         if rise > threshold:
-            # J is near a parabola: interpolate its root
-            inner, outer = np.sqrt(max(last - cost, 0.0)), np.sqrt(rise)
-            return here + (there - here) * float((np.sqrt(threshold) - inner) / max(outer - inner, 1e-12))
-        here, last, stride = there, found, 1.5 * stride
+            trusted = outer is not None or rise < PARABOLA * threshold
+            outer = there, np.sqrt(rise)
+            if trusted:
+                return root(outer)
+        elif there == bound:
+            return None
+        else:
+            start, inner, low, stride = best, there, np.sqrt(max(rise, 0.0)), 2 * stride
+            if outer is not None:
+                return root(outer)
 
 
 def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[dict]:
@@ -179,7 +270,7 @@ def assess(
     batch: int,
     rate_hz: float,
     settings: dict,
-    bias: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
+    noise: Callable[[np.ndarray], NoiseTerms] | None = None,
 ) -> dict:
     """Verdict on each parameter of a fit.
 
@@ -195,9 +286,9 @@ def assess(
         Search bounds, replays per call, sample rate [Hz].
     settings
         Slice ``identifiability`` of the configuration.
-    bias
-        Maps z (12,), H (12, 12) and the free parameters to the bias of the fit in ln-units (12,), which is taken
-        off the intervals.
+    noise
+        Maps z (12,) to what the noise of the input adds there. The bias that it causes is taken off the intervals, not
+        off the fit.
 
     Returns
     -------
@@ -210,29 +301,39 @@ def assess(
     start = np.log(parameters)
     everything = np.arange(12)
     z, cost, _, _ = minimise(problem, start, everything, iterations=settings["iterations"], ftol=1e-8)
-    near = settings["at_bound_ln"]
-    bound = (z - problem.lower < near) | (problem.upper - z < near)
-    free = np.flatnonzero(~bound)
     lags = round(settings["autocorrelation_s"] * rate_hz)
-    info = information(problem, z, sample, free, step=settings["step_ln"], lags=lags)
-    shift = np.zeros(12)
-    if bias is not None:
-        # the bias belongs to the corrected point, which the first estimate of it gives
-        shift = bias(z, info.information, free)
-        shift = bias(np.clip(z - shift, problem.lower, problem.upper), info.information, free)
-    # a parameter at its bound has no place in the covariance, but its profile still has a threshold
-    whole = (
-        info
-        if not bound.any()
-        else information(problem, z, sample, everything, step=settings["step_ln"], lags=lags)
-    )
+    residual, jacobian = central_jacobian(problem, z, settings["step_ln"])
+    own_jacobian = jacobian
+    point, terms = z, None
+    if noise is not None:
+        point, terms = corrected_fit(
+            problem,
+            z,
+            sample,
+            noise,
+            step=settings["step_ln"],
+            lags=lags,
+            iterations=settings["bias_iterations"],
+        )
+        residual, jacobian = central_jacobian(problem, point, settings["step_ln"])
+    shift = z - point
+    whole = information(residual, jacobian, sample, everything, lags=lags, noise=terms)
+    near = settings["at_bound_ln"]
+    at_bound = (z - problem.lower < near) | (problem.upper - z < near)
+    # at its bound a parameter is known, but for what cannot be known at all
+    bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
+    free = np.flatnonzero(~bound)
+    info = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
     quantile = float(stats.norm.ppf(0.975))
     rows = {}
     for i, name in enumerate(PARAMETERS):
-        sd = float(np.sqrt((whole if bound[i] else info).covariance[i, i]))
-        ends: list[float | None] = [z[i] - quantile * sd, z[i] + quantile * sd]
-        if bound[i] or sd > settings["determined_sd_ln"]:
-            inflation = (whole if bound[i] else info).inflation[i]
+        known = whole if bound[i] else info
+        sd = float(known.sd()[i])
+        ends: list[float | None] = [float(point[i] + side * quantile * sd) for side in (-1, 1)]
+        if sd > settings["weak_sd_ln"]:
+            # no profile: J would rise by the noise of the input alone
+            ends = _within(ends, problem.lower[i], problem.upper[i])
+        elif bound[i] or sd > settings["determined_sd_ln"]:
             ends = [
                 profile_end(
                     problem,
@@ -241,17 +342,18 @@ def assess(
                     i,
                     direction,
                     sd=sd,
-                    threshold=quantile**2 * inflation,
+                    threshold=quantile**2 * known.inflation[i],
                     iterations=settings["profile_iterations"],
                 )
                 for direction in (-1, 1)
             ]
+            ends = [None if end is None else end - float(shift[i]) for end in ends]
         rows[name] = {
             "value": float(np.exp(z[i])),
             "sd_ln": None if bound[i] else sd,
             "bias_ln": None if bound[i] else float(shift[i]),
-            "ci95": [None if e is None else float(np.exp(e - shift[i])) for e in ends],
-            **_verdict(name, ends, sd, float(shift[i]), bool(bound[i]), settings),
+            "ci95": [None if end is None else float(np.exp(end)) for end in ends],
+            **_verdict(name, float(z[i]), ends, sd, float(shift[i]), bool(bound[i]), settings),
         }
     return {
         "J": cost,
@@ -259,12 +361,22 @@ def assess(
         "flat_directions": flat_directions(info.covariance, free, sd=settings["weak_sd_ln"]),
         "evaluations": problem.evaluations,
         "refined_by": float(np.abs(z - start).max()),
-        "jacobian": info.jacobian,
+        "jacobian": own_jacobian,
     }
 
 
+def _within(ends: list[float | None], lower: float, upper: float) -> list[float | None]:
+    return [None if end is None or not lower <= end <= upper else end for end in ends]
+
+
 def _verdict(
-    name: str, ends: list[float | None], sd: float, bias: float, at_bound: bool, settings: dict
+    name: str,
+    z: float,
+    ends: list[float | None],
+    sd: float,
+    bias: float,
+    at_bound: bool,
+    settings: dict,
 ) -> dict[str, str | None]:
     low, high = ends
     advice = _advice(name)
@@ -272,6 +384,10 @@ def _verdict(
         reason = "J rises towards neither bound: every admissible value fits as well"
         return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
     if at_bound:
+        reach = max(abs(end - z + bias) for end in ends if end is not None)
+        if reach > 1.96 * settings["weak_sd_ln"]:
+            reason = f"from its bound J does not rise within a factor of {np.exp(reach):.2f}"
+            return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
         reason = "the search ended at its bound: the optimum may lie beyond it"
         return {"verdict": AT_BOUND, "reason": reason, "next_trial": advice}
     if low is None or high is None:

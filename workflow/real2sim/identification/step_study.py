@@ -14,7 +14,7 @@ from real2sim.identification.trial import trial_model
 from real2sim.provenance import fingerprint
 
 
-def _draws(published: Path, bounds: Bounds, count: int, seed: int) -> np.ndarray:
+def parameter_draws(published: Path, bounds: Bounds, count: int, seed: int) -> np.ndarray:
     """The published prior and log-uniform draws from its published intervals, within the bounds, (count, 12)."""
     rows = {row["parameter"]: row for row in read_table(published, ("parameter", "prior", "interval_low"))}
     prior = np.array([number(rows[name]["prior"]) for name in PARAMETERS])
@@ -52,7 +52,7 @@ def step_study(
     plant = settings["plant"]
     study = plant["study"]
     bounds = Bounds.from_config(settings["identification"]["bounds"])
-    parameters = _draws(published, bounds, study["draws"], study["seed"])
+    parameters = parameter_draws(published, bounds, study["draws"], study["seed"])
     runs: dict[float, dict[str, Any]] = {}
     phantom = False
     for step in (study["reference_s"], *study["candidates_s"]):

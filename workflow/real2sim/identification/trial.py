@@ -131,8 +131,9 @@ def replay_of(
     *,
     nsim: int,
     scale: dict[str, float] | None = None,
+    threads: int = 1,
 ) -> Replay:
-    """Replay of a trial; ``settings`` has the slices ``plant`` and ``robot``, ``scale`` as in `Replay`."""
+    """Replay of a trial; ``settings`` has the slices ``plant`` and ``robot``, the rest is as in `Replay`."""
     return Replay(
         robot=robot,
         robot_settings=settings["robot"],
@@ -146,13 +147,17 @@ def replay_of(
         limits=limits,
         nsim=nsim,
         scale=scale,
+        threads=threads,
     )
 
 
 def trial_model(
-    *, pose: Path, markers: Path, limits: Path, robot: Path, settings: dict, nsim: int
+    *, pose: Path, markers: Path, limits: Path, robot: Path, settings: dict, nsim: int, threads: int = 1
 ) -> TrialModel:
-    """Prepare a trial for replays; ``settings`` has the slices ``identification``, ``plant`` and ``robot``."""
+    """Prepare a trial for replays of at most ``nsim`` simulations a call, on ``threads`` threads.
+
+    ``settings`` has the slices ``identification``, ``plant`` and ``robot``.
+    """
     ident = settings["identification"]
     trial = load_trial(
         pose,
@@ -162,7 +167,7 @@ def trial_model(
     )
     joint_limits = load_limits(limits)
     try:
-        replay = replay_of(trial, joint_limits, robot, settings, nsim=nsim)
+        replay = replay_of(trial, joint_limits, robot, settings, nsim=nsim, threads=threads)
     except ValueError as error:
         raise InputError(
             pose, "", str(error), "a trial that the plant can replay", "See docs/troubleshooting.md."

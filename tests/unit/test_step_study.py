@@ -1,0 +1,103 @@
+"""The step study chooses the largest step that a fine reference cannot tell apart, and says where there is none."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from real2sim.identification.parameters import Bounds
+from real2sim.identification.step_study import parameter_draws, step_study
+from recorded_trial import CONFIG, PUBLISHED, ROBOT, record
+
+BOUNDS = Bounds.from_config(CONFIG["identification"]["bounds"])
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("trial"), noise_m=0.0003)
+
+
+def study(trial, out, timestep="auto", **changes) -> dict:
+    settings = copy.deepcopy({key: CONFIG[key] for key in ("identification", "plant", "robot")})
+    settings["plant"]["timestep_s"] = timestep
+    settings["plant"]["study"] |= {
+        "candidates_s": [0.01, 0.005, 0.0025],
+        "reference_s": 0.001,
+        "draws": 3,
+    } | changes
+    step_study(
+        subject="S02",
+        pose=trial.pose,
+        markers=trial.markers,
+        limits=trial.limits,
+        robot=ROBOT,
+        published=PUBLISHED,
+        settings=settings,
+        out=out,
+    )
+    return json.loads(out.read_text())
+
+
+@pytest.fixture(scope="module")
+def result(trial, tmp_path_factory) -> dict:
+    return study(trial, tmp_path_factory.mktemp("study") / "plant.json")
+
+
+def test_largest_passing_step_is_chosen(result):
+    passing = [row["timestep_s"] for row in result["steps"] if row["passes"]]
+    assert result["status"] == "ok"
+    assert result["timestep_s"] == max(passing)
+    assert result["trial"] == "dynamic_1"
+    assert result["phantom"] is True
+
+
+def test_rows_say_why_they_pass(result):
+    options, bar = CONFIG["plant"]["study"], CONFIG["plant"]["replay_bar"]
+    for row in result["steps"]:
+        passes = (
+            row["marker_rms_m_max"] < options["marker_rms_m"]
+            and row["J_relative_max"] < options["J_relative"]
+            and row["replay_rms_m"] < bar["rms_m"]
+            and row["replay_lag_s"] < bar["lag_s"]
+        )
+        assert row["passes"] == passes
+        assert row["marker_rms_m_median"] <= row["marker_rms_m_max"]
+
+
+def test_error_on_a_smooth_path_falls_with_the_square_of_the_step(tmp_path):
+    result = study(record(tmp_path), tmp_path / "plant.json")
+    error = {row["timestep_s"]: row["marker_rms_m_median"] for row in result["steps"]}
+    # against a reference at h_0 the difference goes with h^2 - h_0^2
+    ratio = (0.01**2 - 0.001**2) / (0.005**2 - 0.001**2)
+    assert error[0.01] / error[0.005] == pytest.approx(ratio, rel=0.05)
+
+
+def test_bar_that_no_step_meets_is_said_and_the_smallest_is_taken(trial, tmp_path):
+    result = study(trial, tmp_path / "plant.json", marker_rms_m=1e-9)
+    assert result["status"] == "no candidate passes"
+    assert not any(row["passes"] for row in result["steps"])
+    assert result["timestep_s"] == 0.0025
+
+
+def test_tight_bar_takes_a_smaller_step(trial, result, tmp_path):
+    error = {row["timestep_s"]: row["marker_rms_m_max"] for row in result["steps"]}
+    tight = study(trial, tmp_path / "plant.json", marker_rms_m=(error[0.01] + error[0.005]) / 2)
+    assert tight["timestep_s"] == 0.005
+
+
+def test_step_set_by_hand_is_kept_and_said(trial, tmp_path):
+    result = study(trial, tmp_path / "plant.json", timestep=0.002)
+    assert result["timestep_s"] == 0.002
+    assert result["status"] == "set by hand"
+
+
+def test_draws_are_the_prior_and_points_of_its_intervals_within_the_bounds():
+    draws = parameter_draws(PUBLISHED, BOUNDS, 6, 1)
+    assert draws.shape == (6, 12)
+    assert draws[0, 0] == 725
+    assert (draws[1:] >= BOUNDS.lower).all()
+    assert (draws[1:] <= BOUNDS.upper).all()
+    assert np.array_equal(draws, parameter_draws(PUBLISHED, BOUNDS, 6, 1))
+    assert not np.array_equal(draws[1:], parameter_draws(PUBLISHED, BOUNDS, 6, 2)[1:])

@@ -335,7 +335,7 @@ class Reaction(RobotTerm):
         self.count += 1
         a = np.where(self.filter > 0, np.exp(-self.step_s / np.maximum(self.filter, 1e-9)), 0.0)[:, None]
         self.smooth = a * self.smooth + (1 - a) * late
-        joint_force[self.rows, :2] += self.gain * self.smooth
+        joint_force[self.rows, :2] += self.gain[:, None] * self.smooth
 
 
 class SeriesCompliance(RobotTerm):

@@ -41,6 +41,8 @@ class Refit:
 
     def visibility(self, train: np.ndarray, held_out: np.ndarray) -> float:
         """rho of residuals (without noise) that an effect leaves on the two trials."""
+        if not (np.isfinite(train).all() and np.isfinite(held_out).all()):
+            return np.inf
         left = held_out - self.held_out @ self.step(train)
         return float(left @ left) / self.floor_held_out
 
@@ -76,13 +78,13 @@ class Search:
         """The next severity to try."""
         if self.high is None:
             return 1.0
-        s1, r1 = np.log(self.high)
+        # an unstable trial says only that there is too much
+        s1, r1 = np.log(self.high[0]), np.log(min(self.high[1], 1e4 * self.target))
         if self.low is None:
             # a small effect is linear in its severity, so the gap is quadratic
-            slope, reach = 2.0, np.log(1e4)
-            return float(np.exp(max(s1 - (r1 - np.log(self.target)) / slope, s1 - reach)))
+            return float(np.exp(s1 - (r1 - np.log(self.target)) / 2))
         s0, r0 = np.log(self.low)
-        share = np.clip((np.log(self.target) - r0) / max(r1 - r0, 1e-9), 0.1, 0.9)
+        share = np.clip((np.log(self.target) - r0) / max(r1 - r0, 1e-9), 0.15, 0.85)
         return float(np.exp(s0 + share * (s1 - s0)))
 
 

@@ -20,7 +20,7 @@ from real2sim.phantom.cohort import robot_controller
 from real2sim.phantom.exports import Trial
 from real2sim.phantom.motions import Motion, pelvis_path
 from real2sim.phantom.person import UNITS, Person, draw_person
-from real2sim.phantom.physics import ARM_JOINTS, BASE_JOINTS, Controller, PelvisPath, Robot, TruePaths
+from real2sim.phantom.physics import AXES, Controller, PelvisPath, Robot, TruePaths
 from real2sim.phantom.suite import excitation
 from real2sim.phantom.suite.effects import FORMS, Context, Draw, Form
 from real2sim.phantom.suite.measurement import (
@@ -32,7 +32,7 @@ from real2sim.phantom.suite.measurement import (
     residual,
     sampled,
 )
-from real2sim.phantom.suite.plan import Case, case_names, cases, stream
+from real2sim.phantom.suite.plan import EFFECTS, Case, case_names, cases, stream
 from real2sim.phantom.suite.setups import Setup, run, run_centres
 from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Refit, Search, perturbed, refit_of
 
@@ -71,6 +71,13 @@ class _Synthetic:
     base: dict[str, TruePaths] = field(default_factory=dict)
     about: Context | None = None
     refit: Refit | None = None
+
+    @property
+    def target(self) -> float:
+        """The visibility asked for."""
+        if self.case.target is None:
+            raise ValueError(f"{self.case.id} has no effect")
+        return self.case.target
 
 
 def write_cases(
@@ -246,11 +253,12 @@ def _describe(world: _World, people: list[_Synthetic]) -> None:
         p.about = Context(
             p.person.stiffness,
             p.person.damping,
+            q.min(axis=0),
+            q.max(axis=0),
             np.abs(q).max(axis=0),
             np.abs(qd).max(axis=0),
             _mobility(world.coarse, p.person),
             world.coarse.masses,
-            p.person.marker_noise_m,
             p.settings["trials"]["dynamic_s"],
             p.settings["trials"]["quiet_s"],
         )
@@ -323,14 +331,17 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
         trials += [(p, cause, draw, 1.0) for draw in cause.candidates]
     reached = iter(_visibilities(world, trials))
     for p, cause in jobs:
-        assert p.case.target is not None
-        cause.search = Search(p.case.target, options["tolerance"])
         found = [next(reached) for _ in cause.candidates]
         # the first draw that can make the gap at all, else the one that comes nearest
-        able = [i for i, rho in enumerate(found) if rho >= p.case.target]
+        able = [i for i, rho in enumerate(found) if rho >= p.target]
         pick = able[0] if able else int(np.argmax(found))
-        cause.draw = cause.candidates[pick]
-        cause.search.tell(1.0, found[pick])
+        cause.draw, cause.rho = cause.candidates[pick], found[pick]
+    for p in people:
+        if p.causes:
+            quieter = _quieten(p, min(c.rho for c in p.causes), world.suite["noise"]["low_m"])
+            for cause in p.causes:
+                cause.search = Search(p.target, options["tolerance"])
+                cause.search.tell(1.0, cause.rho / quieter**2)
     for turn in range(options["rounds"]):
         open_jobs = [(p, c) for p, c in jobs if c.search is not None and not c.search.done]
         if not open_jobs:
@@ -343,6 +354,20 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
     for _, cause in jobs:
         assert cause.search is not None
         cause.severity, cause.rho = cause.search.best
+
+
+def _quieten(p: _Synthetic, most: float, lowest_m: float) -> float:
+    """Lower the noise, within its range, where the largest effect would not be visible enough in it.
+
+    Returns the factor on the noise; the floor goes with its square.
+    """
+    assert p.refit is not None
+    wanted = np.sqrt(most / (1.05 * p.target))
+    factor = float(np.clip(wanted, min(1.0, lowest_m / p.person.marker_noise_m), 1.0))
+    p.person.marker_noise_m *= factor
+    p.refit.floor_train *= factor**2
+    p.refit.floor_held_out *= factor**2
+    return factor
 
 
 def _about(p: _Synthetic) -> Context:
@@ -483,29 +508,37 @@ def _applied(p: _Synthetic) -> Applied:
     return [(c.form, c.form.values(c.draw, c.severity, _about(p))) for c in p.causes]
 
 
-def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, tuple[Recording, TruePaths]]]:
-    """True trials at the fine step, each with what is recorded of it before noise."""
+@dataclass
+class _Measured:
+    """A true trial at the fine step: the pelvis' path, the true paths, and what is recorded before noise."""
+
+    path: PelvisPath
+    paths: TruePaths
+    recording: Recording
+
+
+def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measured]]:
+    """All trials of every case with its effects."""
     setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in TRIALS}
     done = _run_keys(world.fine, world.stops, setups)
-    return [
-        {
-            t: (_record(p, t, setups[i, t].path, done[i, t], _applied(p)), done[i, t])
-            for t in TRIALS
-        }
-        for i, p in enumerate(people)
-    ]
+    out: list[dict[str, _Measured]] = [{} for _ in people]
+    for (i, trial), paths in done.items():
+        path = setups[i, trial].path
+        recording = _record(people[i], trial, path, paths, _applied(people[i]))
+        out[i][trial] = _Measured(path, paths, recording)
+    return out
 
 
 def _write(
-    world: _World, p: _Synthetic, true: dict[str, tuple[Recording, TruePaths]], folder: Path, home: np.ndarray
+    world: _World, p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndarray
 ) -> dict[str, Any]:
     settings, person = p.settings, p.person
     notes: dict[str, Any] = {}
     for index, trial_name in enumerate(TRIALS):
-        recording, paths = true[trial_name]
+        path, paths, recording = (getattr(true[trial_name], key) for key in ("path", "paths", "recording"))
         motion = p.motions[trial_name]
         trial = Trial(
-            trial_name, motion, p.paths[trial_name], float(p.starts[trial_name][2]), np.zeros(3), paths
+            trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths
         )
         t = np.arange(round(motion.duration_s * RATE_HZ)) / RATE_HZ
         centres = recording.interface(t)
@@ -552,13 +585,11 @@ def _truth(world: _World, p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any
 
 
 def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
-    from real2sim.phantom.physics import AXES
-
     form = cause.form
     values = form.values(cause.draw, cause.severity, _about(p))
     return {
         "effect": form.effect,
-        "family": form.family,
+        "family": form.family or (form.effect if form.effect in EFFECTS else None),
         "axes": [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on],
         "stage": form.stage,
         "form": form.form,
@@ -567,6 +598,3 @@ def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
         "severity": cause.severity,
         "visibility": {"target": p.case.target, "alone": cause.rho},
     }
-
-
-__all__ = ["ARM_JOINTS", "BASE_JOINTS", "write_cases"]

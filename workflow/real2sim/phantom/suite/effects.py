@@ -251,9 +251,7 @@ class ExponentialStiffening(StrapForm):
         return {"length": np.where(draw.axes, about.reach / (3 * severity), 1e6)}
 
     def change(self, setup, values, trial, about):
-        setup.terms.append(
-            (laws.Exponential, {"length": values["length"], "stiffness": about.stiffness})
-        )
+        setup.terms.append((laws.Exponential, {"length": values["length"], "stiffness": about.stiffness}))
 
 
 @register
@@ -290,17 +288,13 @@ class TwoSlopes(StrapForm):
         return {"asymmetry": draw.axes * 0.6 * severity * draw.values["sign"]}
 
     def change(self, setup, values, trial, about):
-        setup.terms.append(
-            (laws.TwoSlopes, {"asymmetry": values["asymmetry"], "stiffness": about.stiffness})
-        )
+        setup.terms.append((laws.TwoSlopes, {"asymmetry": values["asymmetry"], "stiffness": about.stiffness}))
 
 
 class _Coupling(StrapForm):
     # full matrices between axes
     def change(self, setup, values, trial, about):
-        setup.terms.append(
-            (laws.Matrix, {"stiffness": values["stiffness"], "damping": values["damping"]})
-        )
+        setup.terms.append((laws.Matrix, {"stiffness": values["stiffness"], "damping": values["damping"]}))
 
     def truth(self, draw, values):
         scalars = super().truth(draw, values)
@@ -441,9 +435,7 @@ class SoftStop(JointLimit):
     def change(self, setup, values, trial, about):
         limit = np.where(np.isfinite(values["limit"]), values["limit"], 1e6)
         side = np.full(6, values["side"])
-        setup.terms.append(
-            (laws.SoftStop, {"limit": limit, "side": side, "curvature": values["curvature"]})
-        )
+        setup.terms.append((laws.SoftStop, {"limit": limit, "side": side, "curvature": values["curvature"]}))
 
 
 # -------------------- interface: dissipation
@@ -635,18 +627,18 @@ class LogCreep(StrapForm):
 
 @register
 class Migration(StrapForm):
-    """The strap slips where it is stretched beyond 35 to 60 % of the reach, and stays there."""
+    """The strap slips while it is stretched beyond 25 to 55 % of the reach, and stays there."""
 
     effect = form = "migration"
     regime = "after large amplitude"
     units: ClassVar = {"slip_rate": ("1/s", "1/s"), "threshold": _LENGTH, "side": ""}
 
     def fixed(self, rng, about):
-        return {"side": rng.choice([-1.0, 1.0]), "threshold": rng.uniform(0.35, 0.60)}
+        return {"side": rng.choice([-1.0, 1.0]), "threshold": rng.uniform(0.25, 0.55)}
 
     def values(self, draw, severity, about):
         return {
-            "slip_rate": draw.axes * 1.5 * severity,
+            "slip_rate": draw.axes * 8 * severity,
             "threshold": np.where(draw.axes, draw.values["threshold"] * about.reach, 1e6),
             "side": draw.values["side"],
         }
@@ -996,9 +988,7 @@ def _retime(recording: Recording, clock: Callable[[np.ndarray], np.ndarray]) -> 
     recording.axes = lambda t: axes(clock(t))
 
 
-def _displace(
-    recording: Recording, side: int, shift: Callable[[np.ndarray], np.ndarray]
-) -> None:
+def _displace(recording: Recording, side: int, shift: Callable[[np.ndarray], np.ndarray]) -> None:
     centres = recording.interface
 
     def moved(t: np.ndarray) -> np.ndarray:
@@ -1198,9 +1188,7 @@ class HandOnRobot(Form):
 
     def draw(self, rng, about):
         gaps = rng.uniform(1.2, 2.8, 8)
-        return Draw(
-            values={"times": about.start_s + np.cumsum(gaps), "width": rng.uniform(0.4, 0.9)}
-        )
+        return Draw(values={"times": about.start_s + np.cumsum(gaps), "width": rng.uniform(0.4, 0.9)})
 
     def values(self, draw, severity, about):
         return {"stiffness": 6000.0 * severity, **draw.values}
@@ -1210,7 +1198,9 @@ class HandOnRobot(Form):
             return
         lever = np.array([1.0, 1.0, 0.3, 1.0, 0.05, 0.05])
         held = {"spring": values["stiffness"] * lever, "damper": 0.01 * values["stiffness"] * lever}
-        setup.terms.append((laws.Hand, {"times": values["times"], "width": np.full(8, values["width"])} | held))
+        setup.terms.append(
+            (laws.Hand, {"times": values["times"], "width": np.full(8, values["width"])} | held)
+        )
 
 
 @register

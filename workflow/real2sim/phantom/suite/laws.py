@@ -241,13 +241,16 @@ class Prony(Term):
 
 
 class Ratchet(Term):
-    """The strap slips while it is stretched beyond a threshold, and stays there: F = -k (q - r), r never returns."""
+    """The strap slips while it is stretched beyond a threshold and stays there: F = -k (q - r), r never returns.
+
+    r' = rate max(sgn q - r - threshold, 0): the slip ends where the strap is relieved.
+    """
 
     def prepare(self):
         self.slipped = np.zeros((len(self.rows), 6))
 
     def force(self, q, qd):
-        beyond = np.maximum(self.side * q - self.threshold, 0.0)
+        beyond = np.maximum(self.side * q - self.slipped - self.threshold, 0.0)
         self.slipped += self.rate * beyond * self.step_s
         return self.stiffness * self.side * self.slipped
 
@@ -346,9 +349,9 @@ class SeriesCompliance(RobotTerm):
 
     def __call__(self, step, joint_force, body_force):
         decay = np.exp(-self.step_s / self.tau)[:, None]
-        self.held = self.held * decay + self.branch * self.tau[:, None] * (1 - decay) * step.rates[
-            self.rows, :3
-        ]
+        self.held = (
+            self.held * decay + self.branch * self.tau[:, None] * (1 - decay) * step.rates[self.rows, :3]
+        )
         joint_force[self.rows, :3] -= self.held
 
 

@@ -40,7 +40,7 @@ class Refit:
         return np.clip(np.linalg.solve(normal, self.train.T @ misfit), -_MOST_LN, _MOST_LN)
 
     def visibility(self, train: np.ndarray, held_out: np.ndarray) -> float:
-        """rho of residuals (without noise) that an effect leaves on the two trials."""
+        """Gap rho of residuals (without noise) that an effect leaves on the two trials."""
         if not (np.isfinite(train).all() and np.isfinite(held_out).all()):
             return np.inf
         left = held_out - self.held_out @ self.step(train)
@@ -100,9 +100,7 @@ def refit_of(
         r = residual(noise - (runs["noisy"] - base), rate_hz)
         floors[trial] = float(r @ r)
     duration = len(centres[TRAIN]["base"]) / rate_hz
-    return Refit(
-        tangents[TRAIN], tangents[HELD_OUT], floors[TRAIN], floors[HELD_OUT], duration
-    )
+    return Refit(tangents[TRAIN], tangents[HELD_OUT], floors[TRAIN], floors[HELD_OUT], duration)
 
 
 def perturbed(stiffness: np.ndarray, damping: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

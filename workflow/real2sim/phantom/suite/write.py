@@ -97,9 +97,7 @@ def write_cases(
     def say(what: str) -> None:
         print(f"  {time.perf_counter() - begun:5.1f} s  {what}", flush=True)
 
-    coarse, fine = (
-        Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"])
-    )
+    coarse, fine = (Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"]))
     people = [_synthesise(suite, case, settings, controllers, fine) for case in plan]
     world = _World(suite, settings, coarse, fine)
     _describe(world, people)
@@ -282,10 +280,10 @@ def _linearise(world: _World, people: list[_Synthetic]) -> None:
     setups = []
     for p in people:
         for trial in (TRAIN, HELD_OUT):
-            base = _setup(p, trial)
-            setups.append(replace(base, path=_noisy_path(world, p, trial)))
+            plain = _setup(p, trial)
+            setups.append(replace(plain, path=_noisy_path(world, p, trial)))
             for stiffness, damping in perturbed(p.person.stiffness, p.person.damping):
-                setups.append(replace(base, stiffness=stiffness, damping=damping))
+                setups.append(replace(plain, stiffness=stiffness, damping=damping))
     done = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
     for p in people:
         centres = {}
@@ -375,10 +373,8 @@ def _about(p: _Synthetic) -> Context:
     return p.about
 
 
-def _visibilities(
-    world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]
-) -> list[float]:
-    """rho of each cause alone, at a severity."""
+def _visibilities(world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]) -> list[float]:
+    """Gap rho of each cause alone, at a severity."""
     effects = [[(c.form, c.form.values(draw, s, _about(p)))] for p, c, draw, s in asked]
     return _gaps(world, [p for p, *_ in asked], effects)
 
@@ -387,7 +383,7 @@ Applied = list[tuple[Form, dict[str, Any]]]
 
 
 def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> list[float]:
-    """rho of each person under some effects, by coarse simulations."""
+    """Gap rho of each person under some effects, by coarse simulations."""
     true_setups: dict[tuple[int, str], Setup] = {}
     model_setups: dict[tuple[int, str], Setup] = {}
     pairs = [(i, trial) for i in range(len(people)) for trial in (TRAIN, HELD_OUT)]
@@ -402,7 +398,9 @@ def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> li
         pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
         recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
         if any(form.moves_model for form, _ in effects[i]):
-            model_setups[i, trial] = _as_analysed(world.coarse, p, trial, pelvis, recorded[i, trial], effects[i])
+            model_setups[i, trial] = _as_analysed(
+                world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
+            )
     keys = list(model_setups)
     centres = run_centres(world.coarse, [model_setups[k] for k in keys], world.stops, RATE_HZ)
     replayed = dict(zip(keys, centres, strict=True))
@@ -523,6 +521,10 @@ def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measur
     done = _run_keys(world.fine, world.stops, setups)
     out: list[dict[str, _Measured]] = [{} for _ in people]
     for (i, trial), paths in done.items():
+        if not np.isfinite(paths.left).all():
+            raise RuntimeError(
+                f"{people[i].case.id} {trial}: the simulation is unstable, {people[i].case.forms}"
+            )
         path = setups[i, trial].path
         recording = _record(people[i], trial, path, paths, _applied(people[i]))
         out[i][trial] = _Measured(path, paths, recording)
@@ -537,9 +539,7 @@ def _write(
     for index, trial_name in enumerate(TRIALS):
         path, paths, recording = (getattr(true[trial_name], key) for key in ("path", "paths", "recording"))
         motion = p.motions[trial_name]
-        trial = Trial(
-            trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths
-        )
+        trial = Trial(trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths)
         t = np.arange(round(motion.duration_s * RATE_HZ)) / RATE_HZ
         centres = recording.interface(t)
         positions = recording.pelvis(t) | {"IF_L": centres[:, 0].copy(), "IF_R": centres[:, 1].copy()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from real2sim.phantom import exports, tasks
 from real2sim.phantom.cohort import robot_controller
 from real2sim.phantom.exports import Trial
 from real2sim.phantom.motions import Motion, pelvis_path
-from real2sim.phantom.person import UNITS, Person, draw_person
+from real2sim.phantom.person import PARAMETER_NAMES, UNITS, Person, draw_person
 from real2sim.phantom.physics import AXES, Controller, PelvisPath, Robot, TruePaths
 from real2sim.phantom.suite import excitation
 from real2sim.phantom.suite.effects import FORMS, Context, Draw, Form
@@ -34,11 +35,12 @@ from real2sim.phantom.suite.measurement import (
 )
 from real2sim.phantom.suite.plan import EFFECTS, Case, case_names, cases, stream
 from real2sim.phantom.suite.setups import Setup, run, run_centres
-from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Refit, Search, perturbed, refit_of
+from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Fit, Refit, Search, perturbed, refit_of
 
 RATE_HZ = 100.0
 TRIALS = ("neutral", TRAIN, HELD_OUT)
 _START_WINDOW_S = 0.5
+_NOISY = 3  # replays with noise, for the floor
 
 
 @dataclass
@@ -281,7 +283,7 @@ def _linearise(world: _World, people: list[_Synthetic]) -> None:
     for p in people:
         for trial in (TRAIN, HELD_OUT):
             plain = _setup(p, trial)
-            setups.append(replace(plain, path=_noisy_path(world, p, trial)))
+            setups += [replace(plain, path=_noisy_path(world, p, trial, k)) for k in range(_NOISY)]
             for stiffness, damping in perturbed(p.person.stiffness, p.person.damping):
                 setups.append(replace(plain, stiffness=stiffness, damping=damping))
     done = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
@@ -290,24 +292,33 @@ def _linearise(world: _World, people: list[_Synthetic]) -> None:
         for trial in (TRAIN, HELD_OUT):
             n = _samples(p)
             base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)[:n]
-            noisy = next(done)[:n]
+            noisy = [next(done)[:n] for _ in range(_NOISY)]
             centres[trial] = {"base": base, "noisy": noisy, "tangent": [next(done)[:n] for _ in range(12)]}
         rng = stream(world.suite, p.case.id, "floor")
-        p.refit = refit_of(centres, p.person.marker_noise_m, RATE_HZ, rng)
+        p.refit = refit_of(centres, partial(_noise, p, rng), RATE_HZ, _room(world, p.person))
+
+
+def _noise(p: _Synthetic, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    noise = p.person.marker_noise_m * rng.standard_normal(shape)
+    return noise if p.smooth_hz is None else exports.smoothed(noise, RATE_HZ, p.smooth_hz)
+
+
+def _room(world: _World, person: Person) -> tuple[np.ndarray, np.ndarray]:
+    """How far the ln parameters are from the search bounds, down and up."""
+    rows = [world.suite["parameters"]["values"][name] for name in PARAMETER_NAMES]
+    true = np.log(np.concatenate([person.stiffness, person.damping]))
+    return np.log([r["low"] for r in rows]) - true, np.log([r["high"] for r in rows]) - true
 
 
 def _samples(p: _Synthetic) -> int:
     return round(p.settings["trials"]["dynamic_s"] * RATE_HZ)
 
 
-def _noisy_path(world: _World, p: _Synthetic, trial: str) -> PelvisPath:
+def _noisy_path(world: _World, p: _Synthetic, trial: str, index: int) -> PelvisPath:
     t = np.arange(_samples(p)) / RATE_HZ
     markers = pelvis_markers(p.person, p.paths[trial])(t)
-    rng = stream(world.suite, p.case.id, trial, "floor")
-    noisy = {
-        name: values + p.person.marker_noise_m * rng.standard_normal(values.shape)
-        for name, values in markers.items()
-    }
+    rng = stream(world.suite, p.case.id, trial, f"floor {index}")
+    noisy = {name: values + _noise(p, rng, values.shape) for name, values in markers.items()}
     return _as_long(replayed_path(noisy, RATE_HZ), p.paths[trial])
 
 
@@ -397,25 +408,58 @@ def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> li
         paths = true.get((i, trial), p.base[trial])
         pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
         recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
-        if any(form.moves_model for form, _ in effects[i]):
+        if any(form.moves_model for form, _ in effects[i]) and np.isfinite(paths.left).all():
             model_setups[i, trial] = _as_analysed(
                 world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
             )
-    keys = list(model_setups)
-    centres = run_centres(world.coarse, [model_setups[k] for k in keys], world.stops, RATE_HZ)
-    replayed = dict(zip(keys, centres, strict=True))
+    fits = _fits(world, people, recorded, model_setups)
+    for _ in range(world.suite["severity"]["refits"]):
+        _refit(world, people, recorded, model_setups, fits)
+    return [fit.visibility() for fit in fits]
+
+
+def _fits(world: _World, people, recorded, model_setups) -> list[Fit]:
+    """What an analysis with the true parameters would be left with."""
+    replayed = dict(
+        zip(
+            model_setups,
+            run_centres(world.coarse, list(model_setups.values()), world.stops, RATE_HZ),
+            strict=True,
+        )
+    )
     out = []
     for i, p in enumerate(people):
-        left = {}
-        n = _samples(p)
-        t = np.arange(n) / RATE_HZ
+        left = []
         for trial in (TRAIN, HELD_OUT):
             base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)
-            seen = recorded[i, trial].interface(t)
-            left[trial] = residual(seen - replayed.get((i, trial), base)[:n], RATE_HZ)
+            left.append(_left(p, recorded[i, trial], replayed.get((i, trial), base)))
         assert p.refit is not None
-        out.append(p.refit.visibility(left[TRAIN], left[HELD_OUT]))
+        out.append(Fit(p.refit, left[0], left[1]))
     return out
+
+
+def _left(p: _Synthetic, recorded: Recording, replayed: np.ndarray) -> np.ndarray:
+    n = _samples(p)
+    return residual(recorded.interface(np.arange(n) / RATE_HZ) - replayed[:n], RATE_HZ)
+
+
+def _refit(world: _World, people, recorded, model_setups, fits: list[Fit]) -> None:
+    """One step of every refit that can be made."""
+    asked, setups = [], []
+    for i, (p, fit) in enumerate(zip(people, fits, strict=True)):
+        if not fit.usable:
+            continue
+        moved = fit.propose()
+        asked.append((i, moved))
+        factor = np.exp(moved)
+        for trial in (TRAIN, HELD_OUT):
+            plain = model_setups.get((i, trial)) or _setup(p, trial)
+            stiffness, damping = plain.stiffness * factor[:6], plain.damping * factor[6:]
+            setups.append(replace(plain, stiffness=stiffness, damping=damping))
+    replayed = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
+    for i, moved in asked:
+        left = [_left(people[i], recorded[i, trial], next(replayed)) for trial in (TRAIN, HELD_OUT)]
+        fits[i].tell(moved, *left)
 
 
 def _run_keys(robot: Robot, stops: dict[str, Any], setups: dict[Any, Setup]) -> dict[Any, TruePaths]:

@@ -24,6 +24,7 @@ include: "workflow/rules/limits.smk"
 include: "workflow/rules/identification.smk"
 include: "workflow/rules/shareability.smk"
 include: "workflow/rules/figures.smk"
+include: "workflow/rules/suite.smk"
 
 
 rule all:

@@ -21,6 +21,7 @@ FAILED = "error in stage"
 
 COMMANDS = {
     "phantom": "real2sim.phantom.cohort:write_subject",
+    "suite-cases": "real2sim.phantom.suite.write:write_cases",
     "ingest": "real2sim.ingest:ingest_subject",
     "quality-subject": "real2sim.quality.stage:quality_subject",
     "quality-table": "real2sim.quality.stage:quality_table",

@@ -26,6 +26,7 @@ from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
+from real2sim.phantom.suite.plan import case_names, shards
 from real2sim.provenance import fingerprint
 from real2sim.subjects import discover
 
@@ -51,6 +52,18 @@ def load_study(raw_config):
             "Add a person (config/README.md), or set `cohort: auto` to run the phantom.",
         )
     return study, people, phantom
+
+
+def suite_settings():
+    """Checked configuration of the diagnosis suite."""
+    source = Path(STUDY["suite"])
+    return validated(read_yaml(source), "suite", source)
+
+
+def phantom_settings():
+    """Checked settings of the phantom as JSON, also where real people take part."""
+    source = Path(STUDY["paths"]["phantom"])
+    return json.dumps(validated(read_yaml(source), "phantom", source))
 
 
 try:

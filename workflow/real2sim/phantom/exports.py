@@ -147,12 +147,17 @@ def write_trial_markers(
     for name, values in positions.items():
         values += person.marker_noise_m * rng.standard_normal(values.shape)
         if smooth_hz is not None:
-            positions[name] = sosfiltfilt(butter(2, smooth_hz, fs=rate, output="sos"), values, axis=0)
+            positions[name] = smoothed(values, rate, smooth_hz)
     gaps = _gaps(settings, trial.kind, list(positions), t[-1], rng)
     for marker, start, end in gaps:
         positions[marker][(t >= start) & (t < end)] = np.nan
     write_markers(path, MarkerRecording(t, float(rate), positions), description=NOTICE)
     return {"gaps": [{"marker": m, "start_s": s, "end_s": e} for m, s, e in gaps]}
+
+
+def smoothed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
+    """Fourth-order zero-phase low-pass along the first axis."""
+    return sosfiltfilt(butter(2, cutoff_hz, fs=rate_hz, output="sos"), values, axis=0)
 
 
 def true_markers(

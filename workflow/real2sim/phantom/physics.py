@@ -260,6 +260,8 @@ def simulate(
 ) -> list[TruePaths]:
     """Step all trials at once and sample them at ``rate_hz``; results in the order given.
 
+    Where a simulation was unstable, the interface's position is NaN.
+
     ``effects`` act on the robot and see the trials in the order given, so they ask for trials of one
     duration; ``added_mass`` (n, 4) is carried by the interface: mass [kg] and inertia about x, y, z [kg m^2].
     """
@@ -313,6 +315,7 @@ class _Runs:
         self.rate_hz = rate_hz
         self.effects: Sequence[RobotEffect] = ()
         self.added_mass: np.ndarray | None = None
+        self.failed = np.zeros(len(paths), bool)
         self.samples: list[tuple[np.ndarray, ...]] = []
 
     def run(self) -> None:
@@ -369,6 +372,7 @@ class _Runs:
                 applied[:active, self.robot.dofs] = joints
                 batch.step(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
             k = last + 1
+        self.failed = batch.warning.reshape(n, -1).any(axis=1)
 
     def _pelvis(self, active: int, t: np.ndarray) -> tuple[np.ndarray, ...]:
         # trials that share a path share its evaluation
@@ -400,6 +404,8 @@ class _Runs:
         r_p, p_p, r_i, p_i, joints, rates, q, qd, force, torque = (
             np.array([row[c][trial] for row in rows]) for c in range(10)
         )
+        if self.failed[trial]:  # MuJoCo starts a simulation anew that it cannot go on with
+            p_i = np.full_like(p_i, np.nan)
         offset = r_i @ self.robot.side
         time = np.arange(len(rows)) / self.rate_hz
         return TruePaths(
@@ -416,4 +422,6 @@ class _Centres(_Runs):
 
     def centres(self) -> np.ndarray:
         """Left and right joint centres (n, m, 2, 3) [m]."""
-        return np.stack([row[0] for row in self.samples], axis=1)
+        out = np.stack([row[0] for row in self.samples], axis=1)
+        out[self.failed] = np.nan
+        return out

@@ -241,13 +241,16 @@ class Prony(Term):
 
 
 class Ratchet(Term):
-    """The strap slips while it is stretched beyond a threshold, and stays there: F = -k (q - r), r never returns."""
+    """The strap slips while it is stretched beyond a threshold and stays there: F = -k (q - r), r never returns.
+
+    r' = rate max(sgn q - r - threshold, 0): the slip ends where the strap is relieved.
+    """
 
     def prepare(self):
         self.slipped = np.zeros((len(self.rows), 6))
 
     def force(self, q, qd):
-        beyond = np.maximum(self.side * q - self.threshold, 0.0)
+        beyond = np.maximum(self.side * q - self.slipped - self.threshold, 0.0)
         self.slipped += self.rate * beyond * self.step_s
         return self.stiffness * self.side * self.slipped
 
@@ -335,7 +338,7 @@ class Reaction(RobotTerm):
         self.count += 1
         a = np.where(self.filter > 0, np.exp(-self.step_s / np.maximum(self.filter, 1e-9)), 0.0)[:, None]
         self.smooth = a * self.smooth + (1 - a) * late
-        joint_force[self.rows, :2] += self.gain * self.smooth
+        joint_force[self.rows, :2] += self.gain[:, None] * self.smooth
 
 
 class SeriesCompliance(RobotTerm):

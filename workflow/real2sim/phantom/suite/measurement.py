@@ -53,7 +53,9 @@ def pelvis_markers(person: Person, path: PelvisPath) -> Callable[[np.ndarray], M
 
 
 def sampled(time_s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Cubic spline through samples, held at both ends."""
+    """Cubic spline through samples, held at both ends; NaN where the simulation was unstable."""
+    if not np.isfinite(values).all():
+        return lambda t: np.full((len(t), *values.shape[1:]), np.nan)
     spline = CubicSpline(time_s, values)
     return lambda t: spline(np.clip(t, time_s[0], time_s[-1]))
 

@@ -57,15 +57,16 @@ def _batch(robot: Robot, setups: list[Setup], stops: dict[str, Any]) -> dict[str
     ]
     n = len(setups)
     law = EffectLaw(
-        *(
-            np.array([getattr(s, name) for s in setups])
-            for name in ("stiffness", "damping", "lower", "upper")
-        ),
-        np.array(stops["stiffness"]),
-        np.array(stops["damping"]),
-        *(np.array([getattr(s, name) for s in setups]) for name in ("rest_rotation", "rest_position")),
-        np.zeros((n, 3)),
-        [term for term in made if isinstance(term, Term)],
+        stiffness=np.array([s.stiffness for s in setups]),
+        damping=np.array([s.damping for s in setups]),
+        lower=np.array([s.lower for s in setups]),
+        upper=np.array([s.upper for s in setups]),
+        stop_stiffness=np.array(stops["stiffness"]),
+        stop_damping=np.array(stops["damping"]),
+        rest_rotation=np.array([s.rest_rotation for s in setups]),
+        rest_position=np.array([s.rest_position for s in setups]),
+        migration=np.zeros((n, 3)),
+        terms=[term for term in made if isinstance(term, Term)],
     )
     added = np.array([s.added for s in setups])
     return {
@@ -83,9 +84,8 @@ def _one_per_row(groups):
     for (kind, *shapes), members in groups.items():
         rest = members
         while rest:
-            seen: set[int] = set()
-            now = [m for m in rest if not (m[0] in seen or seen.add(m[0]))]
-            rest = [m for m in rest if not any(m is other for other in now)]
+            now = list({row: (row, values) for row, values in reversed(rest)}.values())
+            rest = [member for member in rest if not any(member[1] is values for _, values in now)]
             yield (kind, *shapes), now
 
 

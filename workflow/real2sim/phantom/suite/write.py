@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from real2sim.phantom import exports, tasks
 from real2sim.phantom.cohort import robot_controller
 from real2sim.phantom.exports import Trial
 from real2sim.phantom.motions import Motion, pelvis_path
-from real2sim.phantom.person import UNITS, Person, draw_person
-from real2sim.phantom.physics import ARM_JOINTS, BASE_JOINTS, Controller, PelvisPath, Robot, TruePaths
+from real2sim.phantom.person import PARAMETER_NAMES, UNITS, Person, draw_person
+from real2sim.phantom.physics import AXES, Controller, PelvisPath, Robot, TruePaths
 from real2sim.phantom.suite import excitation
 from real2sim.phantom.suite.effects import FORMS, Context, Draw, Form
 from real2sim.phantom.suite.measurement import (
@@ -32,13 +33,14 @@ from real2sim.phantom.suite.measurement import (
     residual,
     sampled,
 )
-from real2sim.phantom.suite.plan import Case, case_names, cases, stream
+from real2sim.phantom.suite.plan import EFFECTS, Case, case_names, cases, stream
 from real2sim.phantom.suite.setups import Setup, run, run_centres
-from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Refit, Search, perturbed, refit_of
+from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Fit, Refit, Search, perturbed, refit_of
 
 RATE_HZ = 100.0
 TRIALS = ("neutral", TRAIN, HELD_OUT)
 _START_WINDOW_S = 0.5
+_NOISY = 3  # replays with noise, for the floor
 
 
 @dataclass
@@ -71,6 +73,13 @@ class _Synthetic:
     base: dict[str, TruePaths] = field(default_factory=dict)
     about: Context | None = None
     refit: Refit | None = None
+
+    @property
+    def target(self) -> float:
+        """The visibility asked for."""
+        if self.case.target is None:
+            raise ValueError(f"{self.case.id} has no effect")
+        return self.case.target
 
 
 def write_cases(
@@ -244,11 +253,12 @@ def _describe(world: _World, people: list[_Synthetic]) -> None:
         p.about = Context(
             p.person.stiffness,
             p.person.damping,
+            q.min(axis=0),
+            q.max(axis=0),
             np.abs(q).max(axis=0),
             np.abs(qd).max(axis=0),
             _mobility(world.coarse, p.person),
             world.coarse.masses,
-            p.person.marker_noise_m,
             p.settings["trials"]["dynamic_s"],
             p.settings["trials"]["quiet_s"],
         )
@@ -272,34 +282,43 @@ def _linearise(world: _World, people: list[_Synthetic]) -> None:
     setups = []
     for p in people:
         for trial in (TRAIN, HELD_OUT):
-            base = _setup(p, trial)
-            setups.append(replace(base, path=_noisy_path(world, p, trial)))
+            plain = _setup(p, trial)
+            setups += [replace(plain, path=_noisy_path(world, p, trial, k)) for k in range(_NOISY)]
             for stiffness, damping in perturbed(p.person.stiffness, p.person.damping):
-                setups.append(replace(base, stiffness=stiffness, damping=damping))
+                setups.append(replace(plain, stiffness=stiffness, damping=damping))
     done = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
     for p in people:
         centres = {}
         for trial in (TRAIN, HELD_OUT):
             n = _samples(p)
             base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)[:n]
-            noisy = next(done)[:n]
+            noisy = [next(done)[:n] for _ in range(_NOISY)]
             centres[trial] = {"base": base, "noisy": noisy, "tangent": [next(done)[:n] for _ in range(12)]}
         rng = stream(world.suite, p.case.id, "floor")
-        p.refit = refit_of(centres, p.person.marker_noise_m, RATE_HZ, rng)
+        p.refit = refit_of(centres, partial(_noise, p, rng), RATE_HZ, _room(world, p.person))
+
+
+def _noise(p: _Synthetic, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    noise = p.person.marker_noise_m * rng.standard_normal(shape)
+    return noise if p.smooth_hz is None else exports.smoothed(noise, RATE_HZ, p.smooth_hz)
+
+
+def _room(world: _World, person: Person) -> tuple[np.ndarray, np.ndarray]:
+    """How far the ln parameters are from the search bounds, down and up."""
+    rows = [world.suite["parameters"]["values"][name] for name in PARAMETER_NAMES]
+    true = np.log(np.concatenate([person.stiffness, person.damping]))
+    return np.log([r["low"] for r in rows]) - true, np.log([r["high"] for r in rows]) - true
 
 
 def _samples(p: _Synthetic) -> int:
     return round(p.settings["trials"]["dynamic_s"] * RATE_HZ)
 
 
-def _noisy_path(world: _World, p: _Synthetic, trial: str) -> PelvisPath:
+def _noisy_path(world: _World, p: _Synthetic, trial: str, index: int) -> PelvisPath:
     t = np.arange(_samples(p)) / RATE_HZ
     markers = pelvis_markers(p.person, p.paths[trial])(t)
-    rng = stream(world.suite, p.case.id, trial, "floor")
-    noisy = {
-        name: values + p.person.marker_noise_m * rng.standard_normal(values.shape)
-        for name, values in markers.items()
-    }
+    rng = stream(world.suite, p.case.id, trial, f"floor {index}")
+    noisy = {name: values + _noise(p, rng, values.shape) for name, values in markers.items()}
     return _as_long(replayed_path(noisy, RATE_HZ), p.paths[trial])
 
 
@@ -321,14 +340,17 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
         trials += [(p, cause, draw, 1.0) for draw in cause.candidates]
     reached = iter(_visibilities(world, trials))
     for p, cause in jobs:
-        assert p.case.target is not None
-        cause.search = Search(p.case.target, options["tolerance"])
         found = [next(reached) for _ in cause.candidates]
         # the first draw that can make the gap at all, else the one that comes nearest
-        able = [i for i, rho in enumerate(found) if rho >= p.case.target]
+        able = [i for i, rho in enumerate(found) if rho >= p.target]
         pick = able[0] if able else int(np.argmax(found))
-        cause.draw = cause.candidates[pick]
-        cause.search.tell(1.0, found[pick])
+        cause.draw, cause.rho = cause.candidates[pick], found[pick]
+    for p in people:
+        if p.causes:
+            quieter = _quieten(p, min(c.rho for c in p.causes), world.suite["noise"]["low_m"])
+            for cause in p.causes:
+                cause.search = Search(p.target, options["tolerance"])
+                cause.search.tell(1.0, cause.rho / quieter**2)
     for turn in range(options["rounds"]):
         open_jobs = [(p, c) for p, c in jobs if c.search is not None and not c.search.done]
         if not open_jobs:
@@ -343,13 +365,27 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
         cause.severity, cause.rho = cause.search.best
 
 
+def _quieten(p: _Synthetic, most: float, lowest_m: float) -> float:
+    """Lower the noise, within its range, where the largest effect would not be visible enough in it.
+
+    Returns the factor on the noise; the floor goes with its square.
+    """
+    assert p.refit is not None
+    wanted = np.sqrt(most / (1.05 * p.target))
+    factor = float(np.clip(wanted, min(1.0, lowest_m / p.person.marker_noise_m), 1.0))
+    p.person.marker_noise_m *= factor
+    p.refit.floor_train *= factor**2
+    p.refit.floor_held_out *= factor**2
+    return factor
+
+
 def _about(p: _Synthetic) -> Context:
     assert p.about is not None
     return p.about
 
 
 def _visibilities(world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]) -> list[float]:
-    """rho of each cause alone, at a severity."""
+    """Gap rho of each cause alone, at a severity."""
     effects = [[(c.form, c.form.values(draw, s, _about(p)))] for p, c, draw, s in asked]
     return _gaps(world, [p for p, *_ in asked], effects)
 
@@ -358,7 +394,7 @@ Applied = list[tuple[Form, dict[str, Any]]]
 
 
 def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> list[float]:
-    """rho of each person under some effects, by coarse simulations."""
+    """Gap rho of each person under some effects, by coarse simulations."""
     true_setups: dict[tuple[int, str], Setup] = {}
     model_setups: dict[tuple[int, str], Setup] = {}
     pairs = [(i, trial) for i in range(len(people)) for trial in (TRAIN, HELD_OUT)]
@@ -372,25 +408,58 @@ def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> li
         paths = true.get((i, trial), p.base[trial])
         pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
         recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
-        if any(form.moves_model for form, _ in effects[i]):
+        if any(form.moves_model for form, _ in effects[i]) and np.isfinite(paths.left).all():
             model_setups[i, trial] = _as_analysed(
                 world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
             )
-    keys = list(model_setups)
-    centres = run_centres(world.coarse, [model_setups[k] for k in keys], world.stops, RATE_HZ)
-    replayed = dict(zip(keys, centres, strict=True))
+    fits = _fits(world, people, recorded, model_setups)
+    for _ in range(world.suite["severity"]["refits"]):
+        _refit(world, people, recorded, model_setups, fits)
+    return [fit.visibility() for fit in fits]
+
+
+def _fits(world: _World, people, recorded, model_setups) -> list[Fit]:
+    """What an analysis with the true parameters would be left with."""
+    replayed = dict(
+        zip(
+            model_setups,
+            run_centres(world.coarse, list(model_setups.values()), world.stops, RATE_HZ),
+            strict=True,
+        )
+    )
     out = []
     for i, p in enumerate(people):
-        left = {}
-        n = _samples(p)
-        t = np.arange(n) / RATE_HZ
+        left = []
         for trial in (TRAIN, HELD_OUT):
             base = np.stack([p.base[trial].left, p.base[trial].right], axis=1)
-            seen = recorded[i, trial].interface(t)
-            left[trial] = residual(seen - replayed.get((i, trial), base)[:n], RATE_HZ)
+            left.append(_left(p, recorded[i, trial], replayed.get((i, trial), base)))
         assert p.refit is not None
-        out.append(p.refit.visibility(left[TRAIN], left[HELD_OUT]))
+        out.append(Fit(p.refit, left[0], left[1]))
     return out
+
+
+def _left(p: _Synthetic, recorded: Recording, replayed: np.ndarray) -> np.ndarray:
+    n = _samples(p)
+    return residual(recorded.interface(np.arange(n) / RATE_HZ) - replayed[:n], RATE_HZ)
+
+
+def _refit(world: _World, people, recorded, model_setups, fits: list[Fit]) -> None:
+    """One step of every refit that can be made."""
+    asked, setups = [], []
+    for i, (p, fit) in enumerate(zip(people, fits, strict=True)):
+        if not fit.usable:
+            continue
+        moved = fit.propose()
+        asked.append((i, moved))
+        factor = np.exp(moved)
+        for trial in (TRAIN, HELD_OUT):
+            plain = model_setups.get((i, trial)) or _setup(p, trial)
+            stiffness, damping = plain.stiffness * factor[:6], plain.damping * factor[6:]
+            setups.append(replace(plain, stiffness=stiffness, damping=damping))
+    replayed = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
+    for i, moved in asked:
+        left = [_left(people[i], recorded[i, trial], next(replayed)) for trial in (TRAIN, HELD_OUT)]
+        fits[i].tell(moved, *left)
 
 
 def _run_keys(robot: Robot, stops: dict[str, Any], setups: dict[Any, Setup]) -> dict[Any, TruePaths]:
@@ -481,27 +550,40 @@ def _applied(p: _Synthetic) -> Applied:
     return [(c.form, c.form.values(c.draw, c.severity, _about(p))) for c in p.causes]
 
 
-def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, tuple[Recording, TruePaths]]]:
-    """True trials at the fine step, each with what is recorded of it before noise."""
+@dataclass
+class _Measured:
+    """A true trial at the fine step: the pelvis' path, the true paths, and what is recorded before noise."""
+
+    path: PelvisPath
+    paths: TruePaths
+    recording: Recording
+
+
+def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measured]]:
+    """All trials of every case with its effects."""
     setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in TRIALS}
     done = _run_keys(world.fine, world.stops, setups)
-    return [
-        {t: (_record(p, t, setups[i, t].path, done[i, t], _applied(p)), done[i, t]) for t in TRIALS}
-        for i, p in enumerate(people)
-    ]
+    out: list[dict[str, _Measured]] = [{} for _ in people]
+    for (i, trial), paths in done.items():
+        if not np.isfinite(paths.left).all():
+            raise RuntimeError(
+                f"{people[i].case.id} {trial}: the simulation is unstable, {people[i].case.forms}"
+            )
+        path = setups[i, trial].path
+        recording = _record(people[i], trial, path, paths, _applied(people[i]))
+        out[i][trial] = _Measured(path, paths, recording)
+    return out
 
 
 def _write(
-    world: _World, p: _Synthetic, true: dict[str, tuple[Recording, TruePaths]], folder: Path, home: np.ndarray
+    world: _World, p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndarray
 ) -> dict[str, Any]:
     settings, person = p.settings, p.person
     notes: dict[str, Any] = {}
     for index, trial_name in enumerate(TRIALS):
-        recording, paths = true[trial_name]
+        path, paths, recording = (getattr(true[trial_name], key) for key in ("path", "paths", "recording"))
         motion = p.motions[trial_name]
-        trial = Trial(
-            trial_name, motion, p.paths[trial_name], float(p.starts[trial_name][2]), np.zeros(3), paths
-        )
+        trial = Trial(trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths)
         t = np.arange(round(motion.duration_s * RATE_HZ)) / RATE_HZ
         centres = recording.interface(t)
         positions = recording.pelvis(t) | {"IF_L": centres[:, 0].copy(), "IF_R": centres[:, 1].copy()}
@@ -547,13 +629,11 @@ def _truth(world: _World, p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any
 
 
 def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
-    from real2sim.phantom.physics import AXES
-
     form = cause.form
     values = form.values(cause.draw, cause.severity, _about(p))
     return {
         "effect": form.effect,
-        "family": form.family,
+        "family": form.family or (form.effect if form.effect in EFFECTS else None),
         "axes": [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on],
         "stage": form.stage,
         "form": form.form,
@@ -562,6 +642,3 @@ def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
         "severity": cause.severity,
         "visibility": {"target": p.case.target, "alone": cause.rho},
     }
-
-
-__all__ = ["ARM_JOINTS", "BASE_JOINTS", "write_cases"]

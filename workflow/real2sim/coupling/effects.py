@@ -208,7 +208,7 @@ class Elastoplastic:
 
 
 class DryFriction:
-    """Coulomb friction of the joint as a constraint, which sticks and slips at any time step: value (m, 1) is its force.
+    """Coulomb friction as a constraint, which sticks and slips at any time step: value (m, 1) is its force.
 
     The constraint is made as hard as MuJoCo allows; its default lets the joint creep.
     """

@@ -78,6 +78,10 @@ class TrialCost:
         rate *= np.sqrt(self._weight_rate)[:, :, None] / self.scales.velocity
         return np.concatenate([error.reshape(m, -1), rate.reshape(m, -1)], axis=1)
 
+    def energy(self, difference: np.ndarray) -> np.ndarray:
+        """What differences of paths (m, n, 2, 3) [m] would cost by themselves, (m,)."""
+        return self(difference + self.measured).total
+
     def sample_of_residual(self) -> np.ndarray:
         """Sample index (n_r,) of each residual: what is near in time is not independent."""
         n = len(self.measured)

@@ -199,6 +199,13 @@ def test_subject_without_yaml(tmp_path):
     assert "no subject.yaml" in refusal(tmp_path)
 
 
+def test_a_case_of_the_diagnosis_suite_has_no_sweeps(tmp_path):
+    folder = person(tmp_path, trials=("neutral", "dynamic_1"))
+    assert set(read_subject(folder, sweeps=False).trials) == {"neutral", "dynamic_1"}
+    with pytest.raises(InputError, match="no trial rotation_T08"):
+        read_subject(folder)
+
+
 @pytest.mark.parametrize("missing", ["neutral", "rotation_T08", "translation_T08"])
 def test_trials_without_which_there_are_no_limits(tmp_path, missing):
     person(tmp_path, trials=[t for t in TRIALS if t != missing])

@@ -55,8 +55,10 @@ def load_study(raw_config):
 
 
 def suite_settings():
-    """Checked configuration of the diagnosis suite."""
+    """Checked configuration of the diagnosis suite; None where there is none, which no study needs."""
     source = Path(STUDY["suite"])
+    if not (source.exists() and Path(STUDY["paths"]["phantom"]).exists()):
+        return None
     return validated(read_yaml(source), "suite", source)
 
 

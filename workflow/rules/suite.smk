@@ -6,7 +6,7 @@ Steps:   one job per shard draws, simulates and writes its cases. Nothing of the
 """
 
 SUITE = suite_settings()
-SUITE_SHARDS = [f"{shard:03d}" for shard in range(shards(SUITE))]
+SUITE_SHARDS = [f"{shard:03d}" for shard in range(shards(SUITE))] if SUITE else []
 
 for _shard in SUITE_SHARDS:
 
@@ -45,7 +45,9 @@ for _shard in SUITE_SHARDS:
             " --out {params.folder:q} --truth {output.truth:q} 2>&1 | tee {log:q}"
 
 
-rule suite:
-    """All cases of the diagnosis suite."""
-    input:
-        expand("results/suite/{suite}/sealed/{shard}.json", suite=SUITE["name"], shard=SUITE_SHARDS),
+if SUITE:
+
+    rule suite:
+        """All cases of the diagnosis suite."""
+        input:
+            expand("results/suite/{suite}/sealed/{shard}.json", suite=SUITE["name"], shard=SUITE_SHARDS),

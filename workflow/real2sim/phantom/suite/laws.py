@@ -22,10 +22,17 @@ class Term:
         self.rows, self.step_s = rows, step_s
         for name in values[0]:
             setattr(self, name, np.array([v[name] for v in values], float))
+        self.last: np.ndarray | None = None
         self.prepare()
 
     def prepare(self) -> None:
         """Set up the state."""
+
+    def travel(self, q: np.ndarray) -> np.ndarray:
+        """What q (rows, 6) has moved by since the last step: states are those of now, not of the next step."""
+        out = np.zeros_like(q) if self.last is None else q - self.last
+        self.last = q
+        return out
 
     def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Force (rows, 6) [N, Nm] at the next step, from q and its rate (rows, 6)."""
@@ -153,7 +160,7 @@ class Stick(Term):
         self.held = np.zeros((len(self.rows), 6))
 
     def force(self, q, qd):
-        self.held = np.clip(self.held + self.spring * qd * self.step_s, -self.lower, self.upper)
+        self.held = np.clip(self.held + self.spring * self.travel(q), -self.lower, self.upper)
         return -self.held
 
 
@@ -169,7 +176,7 @@ class Iwan(Term):
         self.held = np.zeros((len(self.rows), 6, self.elements))
 
     def force(self, q, qd):
-        moved = self.held + self.spring * (qd * self.step_s)[:, :, None]
+        moved = self.held + self.spring * self.travel(q)[:, :, None]
         self.held = np.clip(moved, -self.threshold, self.threshold)
         return -self.held.sum(axis=2)
 
@@ -185,11 +192,11 @@ class LuGre(Term):
         self.z = np.zeros((len(self.rows), 6))
 
     def force(self, q, qd):
-        speed = np.abs(qd)
+        travel = self.travel(q)
         g = self.coulomb + (self.static - self.coulomb) * np.exp(-((qd / self.stribeck) ** 2))
         g = np.maximum(g, 1e-12)
-        goal = np.sign(qd) * g / self.spring
-        decay = np.exp(-self.spring * speed / g * self.step_s)
+        goal = np.sign(travel) * g / self.spring
+        decay = np.exp(-self.spring * np.abs(travel) / g)
         self.z = goal + (self.z - goal) * decay
         return -self.spring * self.z
 
@@ -197,14 +204,14 @@ class LuGre(Term):
 class BoucWen(Term):
     """Bouc-Wen with exponent 1: z' = (v / x_y) (1 - |z| (b + (1 - b) sgn(v z))), F = -F_y z.
 
-    z is linear in itself while v z keeps its sign, so each step is exact for its velocity.
+    z is linear in itself while v z keeps its sign, so each step is exact for its travel.
     """
 
     def prepare(self):
         self.z = np.zeros((len(self.rows), 6))
 
     def force(self, q, qd):
-        travel = qd * self.step_s / self.yield_travel
+        travel = self.travel(q) / self.yield_travel
         z = self.z
         loading = travel * z >= 0
         # loading: dz = (1 - |z|) dx; unloading: dz = (1 + (1 - 2 b) |z|) dx until z changes its sign
@@ -215,7 +222,7 @@ class BoucWen(Term):
 
 
 class Maxwell(Term):
-    """Relaxing branch (standard linear solid): F1' = -k1 v - F1 / tau, exact for the velocity of the step."""
+    """Relaxing branch (standard linear solid): F1' = -k1 v - F1 / tau, exact for a steady rate."""
 
     def prepare(self):
         self.held = np.zeros((len(self.rows), 6))
@@ -223,7 +230,7 @@ class Maxwell(Term):
     def force(self, q, qd):
         tau = self.tau[:, None]
         decay = np.exp(-self.step_s / tau)
-        self.held = self.held * decay + self.branch * tau * (1 - decay) * qd
+        self.held = self.held * decay + self.branch * tau * (1 - decay) * self.travel(q) / self.step_s
         return -self.held
 
 
@@ -236,7 +243,8 @@ class Prony(Term):
     def force(self, q, qd):
         tau = self.tau[:, None, :]
         decay = np.exp(-self.step_s / tau)
-        self.held = self.held * decay + self.branch * tau * (1 - decay) * qd[:, :, None]
+        rate = self.travel(q)[:, :, None] / self.step_s
+        self.held = self.held * decay + self.branch * tau * (1 - decay) * rate
         return -self.held.sum(axis=2)
 
 

@@ -36,6 +36,8 @@ _TRIAL = {
 }
 
 
+# Within which of its standard deviations 95 % of a normal distribution lie
+NORMAL_95 = float(stats.norm.ppf(0.975))
 # Of the information in a direction at least this share is left, however much of it the noise of the input explains: the
 # noise is known to a few per cent only
 LEAST_SHARE = 0.05
@@ -212,7 +214,7 @@ def profile_end(
     others = np.delete(np.arange(12), index)
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
     start, inner, low = z, float(z[index]), 0.0
-    stride = float(np.clip(1.96 * sd, 0.05, 1.0))
+    stride = float(np.clip(NORMAL_95 * sd, 0.05, 1.0))
     outer: tuple[float, float] | None = None
 
     def root(outer: tuple[float, float]) -> float:
@@ -259,6 +261,17 @@ def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> l
 def _advice(name: str) -> str:
     how = "slowly, with holds of several seconds" if name[0] == "k" else "fast, at 1.5 Hz and above"
     return f"a dynamic trial with more {_TRIAL[name[2:]]}, {how}"
+
+
+def _profile(
+    problem: Residuals, z: np.ndarray, cost: float, index: int, known: Information, iterations: int
+) -> list[float | None]:
+    """Both ends (ln-units) of one parameter's 95 % interval by the profile of J."""
+    sd, threshold = float(known.sd()[index]), NORMAL_95**2 * float(known.inflation[index])
+    return [
+        profile_end(problem, z, cost, index, side, sd=sd, threshold=threshold, iterations=iterations)
+        for side in (-1, 1)
+    ]
 
 
 def assess(
@@ -324,30 +337,20 @@ def assess(
     bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
     free = np.flatnonzero(~bound)
     info = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
-    quantile = float(stats.norm.ppf(0.975))
     rows = {}
     for i, name in enumerate(PARAMETERS):
         known = whole if bound[i] else info
         sd = float(known.sd()[i])
-        ends: list[float | None] = [float(point[i] + side * quantile * sd) for side in (-1, 1)]
+        ends: list[float | None] = [float(point[i] + side * NORMAL_95 * sd) for side in (-1, 1)]
         if sd > settings["weak_sd_ln"]:
             # no profile: J would rise by the noise of the input alone
-            ends = _within(ends, problem.lower[i], problem.upper[i])
-        elif bound[i] or sd > settings["determined_sd_ln"]:
             ends = [
-                profile_end(
-                    problem,
-                    z,
-                    cost,
-                    i,
-                    direction,
-                    sd=sd,
-                    threshold=quantile**2 * known.inflation[i],
-                    iterations=settings["profile_iterations"],
-                )
-                for direction in (-1, 1)
+                end if end is not None and problem.lower[i] <= end <= problem.upper[i] else None
+                for end in ends
             ]
-            ends = [None if end is None else end - float(shift[i]) for end in ends]
+        elif bound[i] or sd > settings["determined_sd_ln"]:
+            sides = _profile(problem, z, cost, i, known, settings["profile_iterations"])
+            ends = [None if end is None else end - float(shift[i]) for end in sides]
         rows[name] = {
             "value": float(np.exp(z[i])),
             "sd_ln": None if bound[i] else sd,
@@ -363,10 +366,6 @@ def assess(
         "refined_by": float(np.abs(z - start).max()),
         "jacobian": own_jacobian,
     }
-
-
-def _within(ends: list[float | None], lower: float, upper: float) -> list[float | None]:
-    return [None if end is None or not lower <= end <= upper else end for end in ends]
 
 
 def _verdict(
@@ -385,7 +384,7 @@ def _verdict(
         return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
     if at_bound:
         reach = max(abs(end - z + bias) for end in ends if end is not None)
-        if reach > 1.96 * settings["weak_sd_ln"]:
+        if reach > NORMAL_95 * settings["weak_sd_ln"]:
             reason = f"from its bound J does not rise within a factor of {np.exp(reach):.2f}"
             return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
         reason = "the search ended at its bound: the optimum may lie beyond it"
@@ -396,12 +395,12 @@ def _verdict(
         return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
     half = (high - low) / 2
     factor = f"95 % interval within a factor of {np.exp(half):.2f}"
-    if half > 1.96 * settings["weak_sd_ln"]:
+    if half > NORMAL_95 * settings["weak_sd_ln"]:
         return {"verdict": NOT_DETERMINED, "reason": factor, "next_trial": advice}
     if sd > settings["determined_sd_ln"]:
         return {"verdict": WEAK, "reason": factor, "next_trial": advice}
     if abs(bias) > settings["determined_sd_ln"]:
-        # the correction is of first order: it is not trusted beyond what counts as small
+        # the noise is an estimate from the neutral trial: no large correction is trusted to it
         reason = f"noise of the pelvis markers alone moves it by a factor of {np.exp(abs(bias)):.2f}"
         return {"verdict": WEAK, "reason": reason, "next_trial": advice}
     return {"verdict": DETERMINED, "reason": factor, "next_trial": None}

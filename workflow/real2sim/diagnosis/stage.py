@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
@@ -15,7 +17,7 @@ from real2sim.diagnosis.decide import Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, describe_reaction, load_evidence, marker_noise
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
-from real2sim.geometry import AXES
+from real2sim.geometry import AXES, INTERFACE_MARKERS
 from real2sim.identification.noise_floor import block_bootstrap_mean
 from real2sim.identification.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
@@ -75,6 +77,7 @@ def diagnose(
     out: Path,
     limits: Path | None = None,
     step: Path | None = None,
+    traces: Path | None = None,
 ) -> None:
     """Where the gap lies, which effect causes it, how far it shrinks; written as diagnosis.json.
 
@@ -86,6 +89,8 @@ def diagnose(
         Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the configuration.
     limits, step
         Joint limits and step study of the person, where they exist.
+    traces
+        Table (Parquet) of the held-out trial: time and, per interface marker and axis, measured, plain and with effect.
     """
 
     def progress(text: str) -> None:
@@ -99,6 +104,8 @@ def diagnose(
     plain, sets = candidates_of(attribution)
     decision = decide(plain, sets, attribution.samples, settings["diagnosis"]["calibration"])
     progress(f"verdict {decision.verdict}")
+    if traces is not None:
+        _write_traces(traces, pair.held_out, attribution, decision)
     phantom = pair.train.trial.phantom or pair.held_out.trial.phantom
     used = [
         folder / f"{table}.parquet" for folder in (train, held_out) for table in ("pose", "markers", "robot")
@@ -120,6 +127,22 @@ def diagnose(
             ),
         },
     )
+
+
+def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decision: Decision) -> None:
+    """Measured and simulated interface markers of the held-out trial [m, world]."""
+    best = attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+    paths = {
+        "measured": evidence.trial.interface,
+        "plain": _paths(evidence, attribution.plain),
+        "with_effect": _paths(evidence, best),
+    }
+    columns = {"time_s": evidence.trial.time_s}
+    for kind, path in paths.items():
+        for m, marker in enumerate(INTERFACE_MARKERS):
+            columns |= {f"{kind}_{marker}_{c}": path[:, m, i] for i, c in enumerate("xyz")}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), out, compression="zstd")
 
 
 def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[str, Any]:

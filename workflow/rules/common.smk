@@ -78,6 +78,9 @@ RESTARTS = range(1, STUDY["identification"]["restarts"] + 1)
 ROBOT = STUDY["paths"]["robot"]
 PUBLISHED = STUDY["paths"]["published"]
 FIT_SETTINGS = json.dumps({key: STUDY[key] for key in ("identification", "plant", "robot")})
+DIAGNOSIS_SETTINGS = json.dumps(
+    {key: STUDY[key] for key in ("ingest", "identification", "plant", "robot", "diagnosis")}
+)
 
 
 wildcard_constraints:

@@ -1,8 +1,10 @@
 """The diagnosis suite: synthetic people whose sim-to-real gap has a known, sealed cause.
 
 Inputs:  the suite's configuration (config key `suite`), config/phantom.yaml, the robot twin.
-Outputs: results/suite/<SUITE>/raw/<CASE>/*, results/suite/<SUITE>/sealed/<SHARD>.json (truth: only the score may read it).
-Steps:   one job per shard draws, simulates and writes its cases. Nothing of the study asks for them.
+Outputs: results/suite/<SUITE>/raw/<CASE>/*, results/suite/<SUITE>/sealed/<SHARD>.json (truth: only the score may read
+         it), results/suite/<SUITE>/cases/<CASE>/diagnosis.json, answers/<SHARD>.json and score.json.
+Steps:   one job per shard draws, simulates and writes its cases, one answers them; the score opens the seal. Nothing of
+         the study asks for them.
 """
 
 SUITE = suite_settings()
@@ -45,9 +47,65 @@ for _shard in SUITE_SHARDS:
             " --out {params.folder:q} --truth {output.truth:q} 2>&1 | tee {log:q}"
 
 
+    rule:
+        name:
+            f"suite_diagnose_{_shard}"
+        input:
+            cases=[f"results/suite/{SUITE['name']}/raw/{case}" for case in case_names(SUITE, int(_shard))],
+            robot=ROBOT,
+            lock="environment-lock.txt",
+        output:
+            f"results/suite/{SUITE['name']}/answers/{_shard}.json",
+        log:
+            f"logs/suite/{SUITE['name']}/diagnose_{_shard}.log",
+        benchmark:
+            f"logs/benchmarks/suite/{SUITE['name']}/diagnose_{_shard}.tsv"
+        conda:
+            "../envs/real2sim.yaml"
+        threads: 1
+        resources:
+            mem_mb=1200,
+            runtime=60,
+        params:
+            work=f"results/suite/{SUITE['name']}/cases",
+            settings=DIAGNOSIS_SETTINGS,
+            code=code("suite-diagnose"),
+        shell:
+            "python -m real2sim suite-diagnose --cases {input.cases:q} --robot {input.robot:q}"
+            " --settings {params.settings:q} --work {params.work:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
 if SUITE:
 
-    rule suite:
-        """All cases of the diagnosis suite."""
+    rule score_diagnosis:
+        """Answers against the truth: the only rule that opens the seal."""
         input:
-            expand("results/suite/{suite}/sealed/{shard}.json", suite=SUITE["name"], shard=SUITE_SHARDS),
+            answers=expand(
+                "results/suite/{suite}/answers/{shard}.json", suite=SUITE["name"], shard=SUITE_SHARDS
+            ),
+            truths=expand(
+                "results/suite/{suite}/sealed/{shard}.json", suite=SUITE["name"], shard=SUITE_SHARDS
+            ),
+        output:
+            f"results/suite/{SUITE['name']}/score.json",
+        log:
+            f"logs/suite/{SUITE['name']}/score.log",
+        benchmark:
+            f"logs/benchmarks/suite/{SUITE['name']}/score.tsv"
+        conda:
+            "../envs/real2sim.yaml"
+        threads: 1
+        resources:
+            mem_mb=600,
+            runtime=10,
+        params:
+            suite=SUITE["name"],
+            code=code("suite-score"),
+        shell:
+            "python -m real2sim suite-score --answers {input.answers:q} --truths {input.truths:q}"
+            " --suite {params.suite} --out {output:q} 2>&1 | tee {log:q}"
+
+    rule suite:
+        """Cases, answers and score of the diagnosis suite."""
+        input:
+            f"results/suite/{SUITE['name']}/score.json",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pyarrow.parquet as pq
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
-from real2sim.diagnosis.decide import Candidate, Decision, decide, next_trial
+from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, describe_reaction, load_evidence, marker_noise
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
@@ -187,10 +188,30 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
         "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
         "ambiguity_group": list(decision.group),
         "next_trial": next_trial(decision),
+        "baselines": _baselines(attribution),
         "parameters": {
             name: {"base": float(a), "with_effect": float(b), "unit": unit(name)}
             for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
         },
+    }
+
+
+def _baselines(attribution: Attribution) -> dict[str, str]:
+    """What simpler rules would say of the same fits, single effects only."""
+    single = [h for h in attribution.hypotheses if len(h.effects) == 1]
+    if not single:
+        return {}
+    plain, n = attribution.plain, attribution.samples[0]
+
+    def least(score: Callable[[Hypothesis], float]) -> str:
+        best = min([plain, *single], key=score)
+        return best.names[0] if best.names else NONE
+
+    return {
+        "training fit": least(lambda h: h.chi2[0]),
+        "AIC": least(lambda h: h.chi2[0] + 2 * (len(h.z) - 12)),
+        "BIC": least(lambda h: h.chi2[0] + np.log(n) * (len(h.z) - 12)),
+        "held out, no gate": least(lambda h: h.chi2[1]),
     }
 
 

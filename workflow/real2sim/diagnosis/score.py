@@ -1,0 +1,352 @@
+"""Score of a suite: the only code that opens the seal. It compares answers with the truth and judges nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from statsmodels.stats.proportion import proportion_confint
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.coupling.effects import EFFECT_NAMES
+from real2sim.diagnosis.decide import GROUPS, NONE, UNKNOWN
+
+Row = dict[str, Any]
+
+# Family of each effect: where another equation of the same family is the truth, its name is right
+LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
+
+
+def _truth_names(case: Row) -> list[str]:
+    """Library names that are right for a case: none or unknown where no effect of the library is in it."""
+    if case["stratum"].startswith("null"):
+        return [NONE]
+    if case["stratum"] == "out_of_library":
+        return [UNKNOWN]
+    return [effect.get("family") or effect["effect"] for effect in case["effects"]]
+
+
+def _rows(answers: Sequence[Path], truths: Sequence[Path]) -> list[Row]:
+    sealed = {case["id"]: case for path in truths for case in read_json(path, ("cases",))["cases"]}
+    rows = []
+    for listed in answers:
+        for name in read_json(listed, ("answers",))["answers"]:
+            answer = read_json(Path(name), ("subject", "verdict", "probabilities"))
+            case = sealed[answer["subject"]]
+            seconds = read_json(Path(name).with_name("seconds.json"), ("seconds",))["seconds"]
+            rows.append({"case": case, "answer": answer, "names": _truth_names(case), "seconds": seconds})
+    return rows
+
+
+def _group_of(name: str) -> tuple[str, ...]:
+    return next((members for members in GROUPS.values() if name in members), (name,))
+
+
+def _ranked(row: Row) -> list[str]:
+    p = row["answer"]["probabilities"]
+    return sorted(p, key=lambda name: -p[name])
+
+
+def _claim(name: str, hits: Sequence[bool], target: str, met: Callable[[float], bool]) -> Row:
+    """One line of the target table: a rate with its Wilson interval."""
+    n = len(hits)
+    if n == 0:
+        return {"claim": name, "value": None, "n": 0, "wilson95": None, "target": target, "met": False}
+    count = int(np.sum(hits))
+    low, high = proportion_confint(count, n, method="wilson")
+    return {
+        "claim": name,
+        "value": count / n,
+        "n": n,
+        "wilson95": [float(low), float(high)],
+        "target": target,
+        "met": bool(met(count / n)),
+    }
+
+
+def _figure(name: str, value: float | None, n: int, target: str, met: bool) -> Row:
+    return {"claim": name, "value": value, "n": n, "wilson95": None, "target": target, "met": bool(met)}
+
+
+def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out: Path) -> None:
+    """Compare the answers of a suite with its sealed truth; every row of the target table of the design.
+
+    ``answers`` are what `suite.diagnose_cases` wrote, ``truths`` the sealed files of the same shards.
+    """
+    rows = _rows(answers, truths)
+    by = {
+        stratum: [r for r in rows if r["case"]["stratum"] == stratum]
+        for stratum in ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
+    }
+    nulls = by["null"] + by["null_hard"]
+    write_json(
+        out,
+        {
+            "schema": 1,
+            "suite": suite,
+            "phantom": True,
+            "cases": len(rows),
+            "targets": _targets(by, nulls),
+            "confusion": _confusion(rows),
+            "power": _power(by["in_library"]),
+            "per_effect": _per_effect(by["in_library"]),
+            "calibration": _calibration(rows),
+            "gap_closed": [g for r in by["in_library"] if (g := _gap_closed(r)) is not None],
+            "baselines": _baselines(by["in_library"], nulls),
+            "time_s": {
+                "median": float(np.median([r["seconds"] for r in rows])),
+                "max": float(np.max([r["seconds"] for r in rows])),
+            },
+            "wrong": [_wrong(r) for r in rows if r["answer"]["verdict"] not in r["names"]],
+        },
+    )
+
+
+def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
+    library = by["in_library"]
+    clear = [r for r in library if (r["case"]["visibility"]["target"] or 0) >= 0.2]
+    faint = [r for r in library if (r["case"]["visibility"]["target"] or 0) < 0.2]
+    strange, mixed, other = by["out_of_library"], by["mixture"], by["form_mismatch"]
+
+    def top(rows: list[Row]) -> list[bool]:
+        return [r["answer"]["verdict"] in r["names"] for r in rows]
+
+    def grouped(rows: list[Row]) -> list[bool]:
+        return [r["answer"]["verdict"] in _group_of(r["names"][0]) for r in rows]
+
+    def among(rows: list[Row], k: int) -> list[bool]:
+        return [set(r["names"]) <= set(_ranked(r)[:k]) for r in rows]
+
+    named = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in strange]
+    answered = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in clear]
+    sure = [r for r in faint if max(r["answer"]["probabilities"].values()) > 0.9]
+    gaps = np.array([g for r in library if (g := _gap_closed(r)) is not None])
+    worse = [g < 0 for g in gaps]
+    axes = [r for r in library if r["case"]["effects"][0]["axes"]]
+    stages = [
+        r["answer"]["where"]["stage"] == r["case"]["effects"][0]["stage"]
+        for r in library
+        if r["case"]["effects"][0].get("stage")
+    ]
+    cut = [c for r in library if (c := _parameter_cut(r)) is not None]
+    kept = [c for r in nulls if (c := _parameter_cut(r)) is not None]
+    calibration = _calibration([r for rows in by.values() for r in rows])
+    alarms = sum(r["answer"]["verdict"] != NONE for r in nulls)
+    allowed = max(2 * len(nulls) / 150, 0)
+    median = float(np.median(gaps)) if len(gaps) else None
+    tenth = float(np.quantile(gaps, 0.1)) if len(gaps) else None
+    cut_median = float(np.median(cut)) if cut else None
+    kept_median = float(np.median([1 / k for k in kept])) if kept else None
+    return [
+        _claim("cause, top-1, rho >= 0.2", top(clear), ">= 90 %", lambda v: v >= 0.90),
+        _claim("ambiguity group, rho >= 0.2", grouped(clear), ">= 97 %", lambda v: v >= 0.97),
+        _claim("top-3, rho >= 0.2", among(clear, 3), ">= 98 %", lambda v: v >= 0.98),
+        _claim("top-1, rho = 0.05", top(faint), ">= 60 %", lambda v: v >= 0.60),
+        _claim(
+            "right where surer than 90 %, rho = 0.05", top(sure), "never over-confident", lambda v: v >= 0.9
+        ),
+        _claim(
+            "false alarm on null",
+            [r["answer"]["verdict"] != NONE for r in nulls],
+            "<= 2 of 150",
+            lambda v: alarms <= allowed,
+        ),
+        _claim(
+            "out of library: unknown",
+            [r["answer"]["verdict"] == UNKNOWN for r in strange],
+            ">= 85 %",
+            lambda v: v >= 0.85,
+        ),
+        _claim("out of library: a wrong name", named, "<= 10 %", lambda v: v <= 0.10),
+        _claim("in library, rho >= 0.2: answered", answered, ">= 90 %", lambda v: v >= 0.90),
+        _claim("form mismatch: family", grouped(other), ">= 85 %", lambda v: v >= 0.85),
+        _claim("mixture: both in the top 3", among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
+        _claim(
+            "mixture: exact set",
+            [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in mixed],
+            ">= 65 %",
+            lambda v: v >= 0.65,
+        ),
+        _claim("where: stage", stages, ">= 97 %", lambda v: v >= 0.97),
+        _claim("where: axis", [_axis_right(r) for r in axes], ">= 95 %", lambda v: v >= 0.95),
+        _figure(
+            "gap closed on the held-out regime, median",
+            median,
+            len(gaps),
+            ">= 95 %",
+            median is not None and median >= 0.95,
+        ),
+        _figure(
+            "gap closed, 10th percentile", tenth, len(gaps), ">= 75 %", tenth is not None and tenth >= 0.75
+        ),
+        _claim("made worse", worse, "<= 2 %", lambda v: v <= 0.02),
+        _figure(
+            "RMS ln-error of K, D cut by (median)",
+            cut_median,
+            len(cut),
+            ">= 4 x",
+            cut_median is not None and cut_median >= 4,
+        ),
+        _figure(
+            "RMS ln-error of K, D on null, times (median)",
+            kept_median,
+            len(kept),
+            "<= 1.05 x",
+            kept_median is not None and kept_median <= 1.05,
+        ),
+        _figure(
+            "expected calibration error",
+            calibration["ece"],
+            len(library),
+            "<= 0.05",
+            calibration["ece"] <= 0.05,
+        ),
+        _figure(
+            "90 % sets: coverage",
+            calibration["set90_coverage"],
+            len(library),
+            "88-93 %",
+            0.88 <= calibration["set90_coverage"] <= 0.93,
+        ),
+        _figure(
+            "90 % sets: mean size",
+            calibration["set90_mean_size"],
+            len(library),
+            "<= 2",
+            calibration["set90_mean_size"] <= 2,
+        ),
+    ]
+
+
+def _axis_right(row: Row) -> bool:
+    axes = row["answer"]["where"]["axes"]
+    return max(axes, key=lambda a: axes[a]) in row["case"]["effects"][0]["axes"]
+
+
+def _gap_closed(row: Row) -> float | None:
+    """Share of the closable gap on the held-out trial that the chosen answer closes."""
+    gap = row["answer"]["gap"]
+    closable = gap["J_base"] - gap["J_floor"]
+    return (gap["J_base"] - gap["J_with_effect"]) / closable if closable > 0.02 * gap["J_floor"] else None
+
+
+def _parameter_cut(row: Row) -> float | None:
+    """RMS ln-error of the 12 parameters of the plain fit over that of the answer."""
+    truth = row["case"].get("parameters")
+    if not truth:
+        return None
+
+    def value(entry: Any) -> float:
+        return float(entry["value"] if isinstance(entry, dict) else entry)
+
+    names = row["answer"]["parameters"]
+    errors = {
+        kind: np.sqrt(np.mean([np.log(p[kind] / value(truth[name])) ** 2 for name, p in names.items()]))
+        for kind in ("base", "with_effect")
+    }
+    return float(errors["base"] / max(errors["with_effect"], 1e-9))
+
+
+def _confusion(rows: list[Row]) -> dict[str, Any]:
+    counts = np.zeros((len(LABELS), len(LABELS)), dtype=int)
+    for row in rows:
+        if len(row["names"]) == 1:
+            counts[LABELS.index(row["names"][0]), LABELS.index(row["answer"]["verdict"])] += 1
+    return {"labels": list(LABELS), "counts": counts.tolist()}
+
+
+def _power(rows: list[Row]) -> list[Row]:
+    out = []
+    for rho in sorted({r["case"]["visibility"]["target"] for r in rows}):
+        hits = [
+            r["answer"]["verdict"] in r["names"] for r in rows if r["case"]["visibility"]["target"] == rho
+        ]
+        low, high = proportion_confint(sum(hits), len(hits), method="wilson")
+        out.append(
+            {"rho": rho, "n": len(hits), "top1": float(np.mean(hits)), "wilson95": [float(low), float(high)]}
+        )
+    return out
+
+
+def _per_effect(rows: list[Row]) -> list[Row]:
+    out = []
+    for effect in EFFECT_NAMES:
+        own = [r for r in rows if r["names"] == [effect]]
+        if own:
+            right = [r for r in own if r["answer"]["verdict"] == effect]
+            reached = [
+                r["case"]["visibility"]["predicted"] for r in right if r["case"]["visibility"]["predicted"]
+            ]
+            smallest = min(reached) if reached else None
+            out.append({"effect": effect, "n": len(own), "top1": len(right), "smallest_rho": smallest})
+    return out
+
+
+def _calibration(rows: list[Row]) -> dict[str, Any]:
+    """Reliability of the verdicts' probabilities, and of sets that hold 90 % of the probability."""
+    rows = [r for r in rows if len(r["names"]) == 1]
+    p = np.array([r["answer"]["probabilities"][r["answer"]["verdict"]] for r in rows])
+    right = np.array([r["answer"]["verdict"] in r["names"] for r in rows], dtype=float)
+    bins, ece = [], 0.0
+    for low in np.arange(0.0, 1.0, 0.1):
+        inside = (p > low) & (p <= low + 0.1)
+        if inside.any():
+            mean, fraction = float(p[inside].mean()), float(right[inside].mean())
+            ece += inside.mean() * abs(mean - fraction)
+            bins.append(
+                {
+                    "from": float(low),
+                    "to": float(low + 0.1),
+                    "n": int(inside.sum()),
+                    "mean_probability": mean,
+                    "fraction_true": fraction,
+                }
+            )
+    sizes, covered = [], []
+    for row in rows:
+        total, members = 0.0, []
+        for name in _ranked(row):
+            members.append(name)
+            total += row["answer"]["probabilities"][name]
+            if total >= 0.9:
+                break
+        sizes.append(len(members))
+        covered.append(row["names"][0] in members)
+    return {
+        "bins": bins,
+        "ece": float(ece),
+        "set90_coverage": float(np.mean(covered)) if covered else 0.0,
+        "set90_mean_size": float(np.mean(sizes)) if sizes else 0.0,
+    }
+
+
+def _baselines(library: list[Row], nulls: list[Row]) -> list[Row]:
+    """What simpler rules say of the same fits: they are stored with every answer."""
+    names = sorted({name for r in library + nulls for name in r["answer"].get("baselines", {})})
+    out = [{"name": "always none", "top1": 0.0, "false_alarm": 0.0}]
+    for name in names:
+        hits = [r["answer"]["baselines"][name] in r["names"] for r in library]
+        alarms = [r["answer"]["baselines"][name] != NONE for r in nulls]
+        out.append(
+            {
+                "name": name,
+                "top1": float(np.mean(hits)) if hits else 0.0,
+                "false_alarm": float(np.mean(alarms)) if alarms else 0.0,
+            }
+        )
+    return out
+
+
+def _wrong(row: Row) -> Row:
+    answer = row["answer"]
+    return {
+        "case": row["case"]["id"],
+        "stratum": row["case"]["stratum"],
+        "truth": row["names"],
+        "forms": [effect.get("form") for effect in row["case"]["effects"]],
+        "verdict": answer["verdict"],
+        "probabilities": {k: round(v, 3) for k, v in answer["probabilities"].items() if v > 0.02},
+        "visibility": row["case"]["visibility"],
+    }

@@ -1,0 +1,56 @@
+"""Which unmodelled effect causes the sim-to-real gap of a person. `snakemake diagnosis` answers for everyone who can be.
+
+Inputs:  canonical tables of neutral and of two dynamic trials, joint limits, step study, the robot twin.
+Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html; results/diagnosis/diagnosis.csv.
+Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; page; table.
+         A person with one dynamic trial has none to be judged on and is left out.
+"""
+
+DIAGNOSED = [name for name in CALIBRATION if len(PEOPLE[name].trials_of("dynamic")) >= 2]
+
+
+def diagnosis_trial(index):
+    """Input function: pose.parquet of a person's dynamic trial, 0 to train on and 1 held out."""
+    return lambda wildcards: poses_of(wildcards.subject, "dynamic")[index]
+
+
+rule diagnosis:
+    """The answer for everyone with two dynamic trials, and the table of all."""
+    input:
+        expand("results/diagnosis/{subject}/diagnosis.json", subject=DIAGNOSED),
+
+
+rule diagnose:
+    """Where the gap lies, which effect causes it and how far it shrinks, for one person."""
+    input:
+        train=diagnosis_trial(0),
+        held_out=diagnosis_trial(1),
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+        lock="environment-lock.txt",
+    output:
+        answer="results/diagnosis/{subject}/diagnosis.json",
+        traces="results/diagnosis/{subject}/traces.parquet",
+    log:
+        "logs/diagnosis/{subject}.log",
+    benchmark:
+        "logs/benchmarks/diagnosis/{subject}.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=1000,
+        runtime=15,
+    params:
+        train=lambda wildcards, input: Path(input.train).parent,
+        held_out=lambda wildcards, input: Path(input.held_out).parent,
+        neutral=lambda wildcards, input: Path(input.neutral).parent,
+        settings=DIAGNOSIS_SETTINGS,
+        code=code("diagnose"),
+    shell:
+        "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
+        " --held-out {params.held_out:q} --neutral {params.neutral:q} --limits {input.limits:q} --step {input.step:q}"
+        " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
+        " 2>&1 | tee {log:q}"

@@ -46,7 +46,6 @@ for _shard in SUITE_SHARDS:
             " --settings {params.settings:q} --controllers {params.controllers:q} --robot {input.robot:q}"
             " --out {params.folder:q} --truth {output.truth:q} 2>&1 | tee {log:q}"
 
-
     rule:
         name:
             f"suite_diagnose_{_shard}"

@@ -34,8 +34,7 @@ class Scales:
     """What the effects' parameters are measured in, for one person.
 
     ``q``, ``v`` (6,) are large excursions and rates of the interface [m, rad; m/s, rad/s], ``k``, ``d`` (6,) stiffness
-    and damping of the plain fit, ``inertia`` (6,) what the robot puts against each strap axis [kg, kg m^2], ``step``
-    [s] of the plant.
+    and damping of the plain fit, ``inertia`` (6,) what the robot puts against each strap axis [kg, kg m^2].
     """
 
     q: np.ndarray
@@ -43,7 +42,6 @@ class Scales:
     k: np.ndarray
     d: np.ndarray
     inertia: np.ndarray
-    step: float
 
     @property
     def force(self) -> np.ndarray:
@@ -127,6 +125,10 @@ class Fields:
         """Index of a tendon."""
         return self.model.tendon(name).id
 
+    def stiffest(self, axis: int) -> float:
+        """Stiffness that the time step bears on a strap axis."""
+        return float(0.5 * self.scales.inertia[axis] / self.model.opt.timestep**2)
+
 
 def _tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes) -> None:
     tendon = spec.add_tendon(name=name, **attributes)
@@ -183,28 +185,38 @@ class Polynomial:
 
 
 class Elastoplastic:
-    """A spring in parallel that yields: values are yield force and yield deflection, (m, 2)."""
+    """Springs in parallel that yield one after the other: values are yield force and yield travel, (m, 2).
+
+    Equal springs whose travels are quantiles of an exponential law: together they approach the force as
+    1 - exp(-x / travel), as the Bouc-Wen law of exponent 1 does, with the memory of reversals that Masing described.
+    """
+
+    def __init__(self, elements: int):
+        self.travels = -np.log(1 - (np.arange(elements) + 0.5) / elements)
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"yield{i}_{where.element}" for i in range(len(self.travels))]
 
     def build(self, spec, where):
-        """A tendon with a yield."""
-        joint = STRAP_JOINTS[where.axes[0]]
-        _tendon(
-            spec,
-            f"yield_{where.element}",
-            {joint: 1.0},
-            stiffness=[1, 0, 0],
-            springlength=[0, 0],
-            springyield=0.01,
-        )
+        """One yielding tendon per element."""
+        for name in self._names(where):
+            _yielding_tendon(spec, name, where)
 
     def set(self, fields, where, parameters, values):
-        """Stiffness so that it yields at the force; never stiffer than the time step bears."""
-        axis, scales = where.axes[0], fields.scales
-        index = fields.tendon(f"yield_{where.element}")
-        stiffest = 0.5 * scales.inertia[axis] / scales.step**2
-        deflection = np.maximum(values[:, 1], np.abs(values[:, 0]) / stiffest)
-        fields["tendon_springyield"][:, index] = deflection
-        fields["tendon_stiffness"][:, index] = values[:, 0] / deflection
+        """Stiffness so that they yield at the force; never stiffer than the time step bears."""
+        stiffness = values[:, 0] / values[:, 1] / self.travels.sum() * len(self.travels)
+        share = np.minimum(stiffness, fields.stiffest(where.axes[0])) / len(self.travels)
+        for name, travel in zip(self._names(where), self.travels, strict=True):
+            index = fields.tendon(name)
+            fields["tendon_stiffness"][:, index] = share
+            fields["tendon_springyield"][:, index] = (
+                travel * values[:, 1] * stiffness / (share * len(self.travels))
+            )
+
+
+def _yielding_tendon(spec: mujoco.MjSpec, name: str, where: Where) -> None:
+    joint = {STRAP_JOINTS[where.axes[0]]: 1.0}
+    _tendon(spec, name, joint, stiffness=[1, 0, 0], springlength=[0, 0], springyield=0.01)
 
 
 class DryFriction:
@@ -223,22 +235,6 @@ class DryFriction:
     def set(self, fields, where, parameters, values):
         """Write the force."""
         fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
-
-
-class YieldingSpring:
-    """The axis' own spring yields at a deflection (m, 1), and its rest pose stays where it was pulled to."""
-
-    def build(self, spec, where):
-        """The same tendon as `Elastoplastic`, as heir of the joint's spring."""
-        Elastoplastic().build(spec, where)
-
-    def set(self, fields, where, parameters, values):
-        """Hand the stiffness over to the tendon."""
-        axis = where.axes[0]
-        index = fields.tendon(f"yield_{where.element}")
-        fields["jnt_stiffness"][:, fields.joint(axis)] = 0
-        fields["tendon_stiffness"][:, index] = parameters[:, axis]
-        fields["tendon_springyield"][:, index] = values[:, 0]
 
 
 class Bristles:
@@ -266,10 +262,10 @@ class Bristles:
 
     def set(self, fields, where, parameters, values):
         """Bristle stiffness so that it slips at the deflection, bristles damped half critically for the step."""
-        axis, scales = where.axes[0], fields.scales
+        axis = where.axes[0]
         index = fields.model.actuator(f"bristles_{where.element}").id
         force, excess, deflection, rate = values.T
-        stiffness = np.minimum(np.abs(force) / deflection, 0.5 * scales.inertia[axis] / scales.step**2)
+        stiffness = np.minimum(np.abs(force) / deflection, fields.stiffest(axis))
         fields["actuator_dynprm"][:, index, 5] = stiffness
         fields["actuator_dynprm"][:, index, 6] = 0
         fields["actuator_biasprm"][:, index, 3] = force
@@ -300,7 +296,7 @@ class Maxwell:
         stiffness, damping = values[:, 0], values[:, 0] * values[:, 1]
         fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
         fields["dof_damping"][:, dof] = damping
-        fields["dof_armature"][:, dof] = 0.02 * np.abs(damping) * fields.scales.step
+        fields["dof_armature"][:, dof] = 0.02 * np.abs(damping) * fields.model.opt.timestep
 
 
 class Coupling:
@@ -368,8 +364,7 @@ class Stop:
         index, axis = fields.tendon(f"stop_{where.element}"), where.axes[0]
         end = 1 if where.side > 0 else 0
         fields["tendon_lengthspring"][:, index, end] = where.side * values[:, 0]
-        stiffest = 0.5 * fields.scales.inertia[axis] / fields.scales.step**2
-        fields["tendon_stiffness"][:, index] = np.minimum(values[:, 1], stiffest)
+        fields["tendon_stiffness"][:, index] = np.minimum(values[:, 1], fields.stiffest(axis))
 
 
 class InterfaceMass:
@@ -396,7 +391,7 @@ class RobotImpedance:
 
     def set(self, fields, where, parameters, values):
         """Scale, with the step's centring of the damping."""
-        factor, h = np.exp(values), fields.scales.step
+        factor, h = np.exp(values), fields.model.opt.timestep
         for column, name in enumerate(self._joints):
             joint = fields.model.joint(name)
             dof, base = int(joint.dofadr[0]), fields.model.dof_damping[joint.dofadr[0]]
@@ -408,16 +403,30 @@ class RobotImpedance:
             fields["dof_armature"][:, dof] = fields.model.dof_armature[dof] + (base - damping) * h / 2
 
 
-class BaseForce:
-    """Forces on the robot's base, by three motors; ``force`` maps values and context to (m, steps, 3) [N, N, Nm]."""
+class PlannedForce:
+    """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
 
-    def __init__(self, force: Callable[[np.ndarray, Context], np.ndarray]):
-        self.force = force
+    ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm]; ``joints`` are
+    names, or None for the strap joint of the effect's axis.
+    """
+
+    def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
+        self.force, self._joints = force, joints
+
+    def columns(self, model: mujoco.MjModel, where: Where) -> np.ndarray:
+        """Columns of the control that belong to the motors."""
+        return np.array([model.actuator_ctrladr[model.actuator(n).id] for n in self._names(where)])
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"planned_{joint}_{where.element}" for joint in self._targets(where)]
+
+    def _targets(self, where: Where) -> tuple[str, ...]:
+        return self._joints or (STRAP_JOINTS[where.axes[0]],)
 
     def build(self, spec, where):
-        """Motors on the base joints."""
-        for name in ROBOT_JOINTS[:3]:
-            actuator = spec.add_actuator(name=f"force_{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+        """Motors."""
+        for name, joint in zip(self._names(where), self._targets(where), strict=True):
+            actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
             actuator.set_to_motor()
 
     def set(self, fields, where, parameters, values):
@@ -431,7 +440,7 @@ class Context:
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
     (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``base_reaction`` (n, 3) [N, N, Nm] what the strap of the plain
     fit does to the base; ``start`` sample index up to which the person stands; ``robot_mass`` [kg]; ``measured``
-    (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump.
+    (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump; ``coordinates`` (n, 6) of the interface.
     """
 
     time_s: np.ndarray
@@ -444,6 +453,7 @@ class Context:
     robot_mass: float
     measured: np.ndarray
     spikes: np.ndarray
+    coordinates: np.ndarray
 
 
 # ---------------------------------------------------------------- input and output chain
@@ -535,19 +545,32 @@ def _without_spikes(paths, values, context):
 # ---------------------------------------------------------------- forces on the base
 
 
-def _tilt(values, context):
+def _tilt(values, context, where, parameters):
     force = np.zeros((len(values), len(context.step_time_s), 3))
     force[:, :, :2] = (9.81 * context.robot_mass * values)[:, None, :]
     return force
 
 
-def _reaction(values, context):
+def _reaction(values, context, where, parameters):
     out = np.empty((len(values), len(context.step_time_s), 3))
     for i, (gain, delay) in enumerate(values):
         t = context.step_time_s - delay
         for c in range(3):
             out[i, :, c] = gain * np.interp(t, context.time_s, context.base_reaction[:, c])
     return out
+
+
+def _ratchet(values, context, where, parameters):
+    # the rest pose follows what is pulled beyond a threshold, at a rate, and never returns
+    axis, dt = where.axes[0], context.time_s[1] - context.time_s[0]
+    pulled = where.side * context.coordinates[:, axis]
+    threshold, rate = values.T
+    slipped = np.zeros((len(values), len(pulled)))
+    for i in range(1, len(pulled)):
+        beyond = np.maximum(pulled[i] - slipped[:, i - 1] - threshold, 0.0)
+        slipped[:, i] = slipped[:, i - 1] + beyond * (1 - np.exp(-rate * dt))
+    force = where.side * parameters[:, axis, None] * slipped
+    return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
 
 
 # ---------------------------------------------------------------- the catalogue
@@ -574,6 +597,7 @@ class Effect:
     output_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
     form: str = ""
     replaces_spring: bool = False
+    substeps: int = 1
 
     def places(self) -> list[Where]:
         """Everywhere that it can act."""
@@ -765,18 +789,19 @@ EFFECTS: tuple[Effect, ...] = (
         "friction",
         "sub-millimetre reversals and a ladder of speeds",
         plant=Bristles(),
+        substeps=4,
     ),
     Effect(
         "hysteresis",
         "interface",
-        "an elasto-plastic spring beside the strap's own (Maxwell slip)",
+        "springs beside the strap's own that yield one after the other (Maxwell slip)",
         (
             _FRICTION,
-            EffectParameter("deflection", "m|rad", 0.06, 2.0, (0.2, 0.6), _q, log=True),
+            EffectParameter("travel", "m|rad", 0.04, 2.0, (0.1, 0.5), _q, log=True),
         ),
         "V",
         "the same amplitude at 0.1, 1 and 4 Hz",
-        plant=Elastoplastic(),
+        plant=Elastoplastic(4),
     ),
     Effect(
         "relaxation",
@@ -805,12 +830,15 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "migration",
         "interface",
-        "the rest pose follows where the strap is pulled beyond a deflection, and stays there",
-        (EffectParameter("deflection", "m|rad", 0.1, 1.3, (0.8, 0.5), _q, log=True),),
+        "F = k (q - r), r' = c max(q - r - w, 0): beyond a threshold the rest pose follows, and stays",
+        (
+            EffectParameter("threshold", "m|rad", 0.02, 1.3, (0.6, 0.25), _q, log=True),
+            EffectParameter("rate", "1/s", 0.02, 50.0, (1.0, 1.0), log=True),
+        ),
         "Dft",
         _STAND,
-        plant=YieldingSpring(),
-        replaces_spring=True,
+        scope="side",
+        plant=PlannedForce(_ratchet),
     ),
     Effect(
         "cross_coupling",
@@ -917,7 +945,7 @@ EFFECTS: tuple[Effect, ...] = (
         "M",
         "the same motion with the controller off",
         scope="whole",
-        plant=BaseForce(_reaction),
+        plant=PlannedForce(_reaction, ROBOT_JOINTS[:3]),
     ),
     Effect(
         "tilt",
@@ -927,7 +955,7 @@ EFFECTS: tuple[Effect, ...] = (
         "S",
         "turning in place",
         scope="whole",
-        plant=BaseForce(_tilt),
+        plant=PlannedForce(_tilt, ROBOT_JOINTS[:3]),
     ),
     Effect(
         "soft_tissue",

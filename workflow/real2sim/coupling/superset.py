@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from real2sim.coupling.drive import pelvis_drive
-from real2sim.coupling.effects import BaseForce, Context, Fields, Placed, Scales
+from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.coupling.replay import Replay, servo_command
 
@@ -44,10 +44,10 @@ class EffectReplay(Replay):
         self._basis = {
             i: self._input_basis(placed) for i, placed in enumerate(self.effects) if placed.effect.input_chain
         }
-        self._force_column = {
-            i: int(self.model.actuator_ctrladr[self.model.actuator(f"force_{ROBOT_JOINTS[0]}").id])
+        self._columns_of = {
+            i: placed.effect.plant.columns(self.model, placed.where)
             for i, placed in enumerate(self.effects)
-            if isinstance(placed.effect.plant, BaseForce)
+            if isinstance(placed.effect.plant, PlannedForce)
         }
 
     def _extend(self, spec: mujoco.MjSpec) -> None:
@@ -110,19 +110,19 @@ class EffectReplay(Replay):
         for i, (placed, values) in enumerate(zip(self.effects, self._values, strict=True)):
             if placed.effect.plant is not None:
                 placed.effect.plant.set(fields, placed.where, self._parameters, values)
-            if i in self._basis or i in self._force_column:
+            if i in self._basis or i in self._columns_of:
                 self._add_control(i, placed, values, m)
         return super()._roll(m)
 
     def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:
         # controls start anew at every call: the first effect that adds to them restores the plain command
-        first = min([*self._basis, *self._force_column])
+        first = min([*self._basis, *self._columns_of])
         if i == first:
             self._control[:m, :, :6] = servo_command(self.drive)
             self._control[:m, :, 6:] = 0
         if i in self._basis:
             self._control[:m, :, :6] += np.einsum("mp,pnc->mnc", values, self._basis[i])
         else:
-            assert isinstance(placed.effect.plant, BaseForce)
-            column = self._force_column[i]
-            self._control[:m, :, column : column + 3] += placed.effect.plant.force(values, self._context)
+            assert isinstance(placed.effect.plant, PlannedForce)
+            force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
+            self._control[:m, :, self._columns_of[i]] += force

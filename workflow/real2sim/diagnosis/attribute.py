@@ -162,7 +162,7 @@ class Search:
         out = []
         for a, b in combinations(screened, 2):
             effects = (a.effects[-1], b.effects[-1])
-            if a.effects[-1].effect.name == b.effects[-1].effect.name or _conflict(effects):
+            if effects[0].key == effects[1].key or _conflict(effects):
                 continue
             r = self._r0 + a.change[:rows] + b.change[:rows]
             jacobian = np.hstack([self._j0, a.own[:rows], b.own[:rows]])

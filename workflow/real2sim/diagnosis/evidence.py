@@ -76,7 +76,7 @@ class Evidence:
     settings: dict
     robot_file: Path
     limits: JointLimits | None
-    drive: PelvisDrive
+    drives: dict[float, PelvisDrive]
     coordinates: np.ndarray
     marker_sd: dict[str, np.ndarray]
     pelvis_cutoff_hz: float
@@ -89,15 +89,20 @@ class Evidence:
         return 6 if self.robot is None else 12
 
     def replay(self, effects: list, nsim: int) -> EffectReplay:
-        """A replay of this trial with effects."""
+        """A replay of this trial with effects, at a fraction of the time step where one of them needs it."""
         trial = self.trial
+        h = float(self.settings["plant"]["timestep_s"]) / max([1, *(e.effect.substeps for e in effects)])
+        if h not in self.drives:
+            rotation, position = trial.pelvis_rotation, trial.pelvis_position
+            self.drives[h] = pelvis_drive(trial.time_s, rotation, position, h)
+        steps = trial.time_s[0] + h * np.arange(len(self.drives[h].position))
         return EffectReplay(
             effects=effects,
-            context=self.context,
+            context=replace(self.context, step_time_s=steps),
             scales=self.scales,
             robot=self.robot_file,
             robot_settings=self.settings["robot"],
-            plant_settings=self.settings["plant"],
+            plant_settings=self.settings["plant"] | {"timestep_s": h},
             time_s=trial.time_s,
             pelvis_rotation=trial.pelvis_rotation,
             pelvis_position=trial.pelvis_position,
@@ -106,7 +111,7 @@ class Evidence:
             rest=trial.rest,
             limits=self.limits,
             nsim=nsim,
-            drive=self.drive,
+            drive=self.drives[h],
         )
 
     def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -294,13 +299,11 @@ def load_evidence(
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     measured = robot_motion(folder / "robot.parquet", n, start)
-    h = float(settings["plant"]["timestep_s"])
-    drive = pelvis_drive(trial.time_s, trial.pelvis_rotation, trial.pelvis_position, h)
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
-    steps = trial.time_s[0] + h * np.arange(len(drive.position))
+    q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     context = Context(
         trial.time_s,
-        steps,
+        trial.time_s,
         bridged_rotation(trial.pelvis_rotation),
         bridged(trial.pelvis_position),
         bridged_rotation(rotation),
@@ -309,14 +312,14 @@ def load_evidence(
         100.0,
         trial.interface,
         spikes(trial.interface, rate),
+        q,
     )
-    q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
-    scales = Scales(_large(q), _large(qd), ones, ones, ones, h)
-    return Evidence(trial, measured, context, scales, cost, settings, robot, known, drive, q, sd, cutoff)
+    scales = Scales(_large(q), _large(qd), ones, ones, ones)
+    return Evidence(trial, measured, context, scales, cost, settings, robot, known, {}, q, sd, cutoff)
 
 
 def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
@@ -341,7 +344,7 @@ def adapted(evidence: Evidence, parameters: np.ndarray) -> Scales:
     dofs = [model.joint(name).dofadr[0] for name in STRAP_JOINTS]
     inertia = 1 / np.diag(np.linalg.inv(mass))[dofs]
     old = evidence.scales
-    return Scales(old.q, old.v, parameters[:6], parameters[6:], inertia, old.step)
+    return Scales(old.q, old.v, parameters[:6], parameters[6:], inertia)
 
 
 def describe_reaction(evidence: Evidence, folder: Path, parameters: np.ndarray) -> None:

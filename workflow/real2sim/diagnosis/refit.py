@@ -34,8 +34,8 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effect names in the order of their parameters."""
-        return tuple(placed.effect.name for placed in self.effects)
+        """Effect names, each once: an effect on two axes is one effect."""
+        return tuple(dict.fromkeys(placed.effect.name for placed in self.effects))
 
     def split(self) -> list[np.ndarray]:
         """Searched numbers (p,) of each effect."""

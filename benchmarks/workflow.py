@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
@@ -76,24 +77,37 @@ def timed(folder: Path, *arguments: str) -> float:
     return time.monotonic() - start
 
 
-def jobs_of(folder: Path) -> dict[str, list[tuple[float, float]]]:
-    """(seconds, peak MB) of each job by stage."""
-    peaks: dict[str, list[tuple[float, float]]] = {}
+@dataclass(frozen=True)
+class Job:
+    """What a job took: seconds on the clock and of the processor, and the peak of its memory [MB]."""
+
+    seconds: float
+    cpu_s: float
+    peak_mb: float
+
+
+def jobs_of(folder: Path) -> dict[str, list[Job]]:
+    """Jobs of a run by stage."""
+    jobs: dict[str, list[Job]] = {}
     for path in sorted((folder / "logs" / "benchmarks").rglob("*.tsv")):
         stage = path.relative_to(folder / "logs" / "benchmarks").parts[0].removesuffix(".tsv")
         with path.open() as stream:
             for row in csv.DictReader(stream, delimiter="\t"):
-                rss = float(row["max_rss"]) if row["max_rss"] not in ("-", "NA") else 0.0
-                peaks.setdefault(stage, []).append((float(row["s"]), rss))
-    return peaks
+                # a job that is over at once is not sampled
+                rss, cpu = (
+                    float(row[key]) if row[key] not in ("-", "NA") else 0.0 for key in ("max_rss", "cpu_time")
+                )
+                jobs.setdefault(stage, []).append(Job(float(row["s"]), cpu, rss))
+    return jobs
 
 
-def print_jobs(peaks: dict[str, list[tuple[float, float]]]) -> None:
+def print_jobs(stages: dict[str, list[Job]]) -> None:
+    """Table of a run's stages."""
     print(f"{'stage':16s} {'jobs':>5s} {'seconds':>9s} {'longest':>9s} {'peak MB':>9s}")
-    for stage, jobs in peaks.items():
-        seconds = [s for s, _ in jobs]
+    for stage, jobs in stages.items():
         print(
-            f"{stage:16s} {len(jobs):5d} {sum(seconds):9.1f} {max(seconds):9.1f} {max(r for _, r in jobs):9.0f}"
+            f"{stage:16s} {len(jobs):5d} {sum(job.seconds for job in jobs):9.1f}"
+            f" {max(job.seconds for job in jobs):9.1f} {max(job.peak_mb for job in jobs):9.0f}"
         )
 
 
@@ -110,13 +124,13 @@ def scale(people: int, cores: int) -> dict:
         "people": people,
         "dry_run_s": parse,
         "wall_s": whole,
-        "job_s": sum(s for own in jobs.values() for s, _ in own),
+        "cpu_s": sum(job.cpu_s for own in jobs.values() for job in own),
         "load_average": os.getloadavg()[1],
         "stages": {
             stage: {
                 "jobs": len(own),
-                "seconds": sum(s for s, _ in own),
-                "peak_mb": max(r for _, r in own),
+                "cpu_s": sum(job.cpu_s for job in own),
+                "peak_mb": max(job.peak_mb for job in own),
             }
             for stage, own in jobs.items()
         },
@@ -126,10 +140,10 @@ def scale(people: int, cores: int) -> dict:
 def report_scaling(runs: dict[str, dict]) -> None:
     """Table over the numbers of people, and the ratios at each doubling."""
     rows = [runs[key] for key in sorted(runs, key=int)]
-    print(f"{'people':>8s} {'wall s':>8s} {'per person':>10s} {'job s':>8s} {'dry run s':>9s} {'load':>5s}")
+    print(f"{'people':>8s} {'wall s':>8s} {'CPU s':>8s} {'per person':>10s} {'dry run s':>9s} {'load':>5s}")
     for row in rows:
         print(
-            f"{row['people']:8d} {row['wall_s']:8.0f} {row['wall_s'] / row['people']:10.1f} {row['job_s']:8.0f}"
+            f"{row['people']:8d} {row['wall_s']:8.0f} {row['cpu_s']:8.0f} {row['cpu_s'] / row['people']:10.1f}"
             f" {row['dry_run_s']:9.1f} {row['load_average']:5.1f}"
         )
     for stage in rows[-1]["stages"]:
@@ -144,8 +158,8 @@ def report_scaling(runs: dict[str, dict]) -> None:
         )
         print(
             f"{less['people']} to {more['people']} people: {people:.1f} times the people,"
-            f" {more['wall_s'] / less['wall_s']:.2f} times the wall time,"
-            f" {more['job_s'] / less['job_s']:.2f} times the job time; memory of a job at most"
+            f" {more['wall_s'] / less['wall_s']:.2f} times the time on the clock,"
+            f" {more['cpu_s'] / less['cpu_s']:.2f} times the processor time of the jobs; memory of a job at most"
             f" {grown[0]:.2f} times ({grown[1]})"
         )
 

@@ -47,7 +47,7 @@ class Study:
 
     def planned(self, *arguments: str) -> dict[str, int]:
         """Jobs per rule that a dry run plans; empty if there is nothing to do."""
-        text = self.snakemake("-n", "--cores", "2", "--quiet", "rules", *arguments).stdout
+        text = self.snakemake("-n", "--cores", "2", *arguments, "--quiet", "rules").stdout
         text = self.snakemake("-n", "--cores", "2", *arguments).stdout if "job" not in text else text
         stats = re.search(r"Job stats:\n(.*?)\n\n", text, re.S)
         if stats is None:

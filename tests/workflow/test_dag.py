@@ -8,8 +8,8 @@ import sys
 import time
 
 
-def _jobs(project) -> list[dict[str, str]]:
-    text = project.snakemake("--detailed-summary", "--cores", "1").stdout
+def _jobs(project, *targets: str) -> list[dict[str, str]]:
+    text = project.snakemake("--detailed-summary", "--cores", "1", *targets).stdout
     lines = [line for line in text.splitlines() if "\t" in line]
     header = lines[0].split("\t")
     return [dict(zip(header, line.split("\t"), strict=False)) for line in lines[1:]]
@@ -40,9 +40,20 @@ def test_no_rule_reads_the_sealed_truth(project):
 
 def test_suite_of_cases_is_apart_from_the_study(project):
     assert not any(rule.startswith("suite") for rule in project.planned())
-    assert project.planned("suite") == {"suite_cases_000": 1, "suite_cases_001": 1, "suite": 1}
+    kinds = ("suite_cases", "suite_diagnose")
+    rules = {f"{kind}_{shard}" for kind in kinds for shard in ("000", "001")} | {"score_diagnosis", "suite"}
+    assert set(project.planned("suite")) == rules
     (project.folder / "config" / "suite-ci.yaml").unlink()
     assert project.planned()["all"] == 1
+
+
+def test_only_the_score_opens_the_seal_of_a_suite(project):
+    jobs = _jobs(project, "suite")
+    writers = {job["rule"] for job in jobs if "/sealed/" in job["output_file"]}
+    assert writers == {"suite_cases_000", "suite_cases_001"}
+    # a job sees what its command names: every input is handed over there
+    told = {job["rule"] for job in jobs if "sealed" in job["shellcmd"]}
+    assert told == writers | {"score_diagnosis"}
 
 
 def test_nothing_but_the_phantom_stage_imports_the_phantom(project):

@@ -9,11 +9,6 @@ Steps:   fit the first dynamic trial, with and without every effect of the catal
 DIAGNOSED = [name for name in CALIBRATION if len(PEOPLE[name].trials_of("dynamic")) >= 2]
 
 
-def diagnosis_trial(index):
-    """Input function: pose.parquet of a person's dynamic trial, 0 to train on and 1 held out."""
-    return lambda wildcards: poses_of(wildcards.subject, "dynamic")[index]
-
-
 rule diagnosis:
     """The answer for everyone with two dynamic trials, and the table of all."""
     input:
@@ -23,8 +18,8 @@ rule diagnosis:
 rule diagnose:
     """Where the gap lies, which effect causes it and how far it shrinks, for one person."""
     input:
-        train=diagnosis_trial(0),
-        held_out=diagnosis_trial(1),
+        train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
+        held_out=lambda wildcards: poses_of(wildcards.subject, "dynamic")[1],
         neutral="results/trials/{subject}/neutral/markers.parquet",
         limits="results/limits/{subject}.json",
         step="results/plant/{subject}.json",

@@ -573,6 +573,22 @@ def _ratchet(values, context, where, parameters):
     return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
 
 
+def _bouc_wen(values, context, where, parameters):
+    # z' = (v / travel) (1 - |z| (b + (1 - b) sgn(v z))), F = -force z, along the measured coordinate
+    q = context.coordinates[:, where.axes[0]]
+    force, travel, shape = values.T
+    z = np.zeros((len(values), len(q)))
+    for i in range(1, len(q)):
+        step, last = (q[i] - q[i - 1]) / travel, z[:, i - 1]
+        # linear in z while the signs last: each step is exact for its increment
+        rate = np.where(step * last >= 0, 1.0, 1.0 - 2 * shape) * np.abs(step)
+        decay = np.exp(-rate)
+        gain = np.where(np.abs(rate) > 1e-9, (1 - decay) / np.where(np.abs(rate) > 1e-9, rate, 1.0), 1.0)
+        z[:, i] = last * decay + step * gain
+    out = np.stack([np.interp(context.step_time_s, context.time_s, row) for row in -force[:, None] * z])
+    return out[:, :, None]
+
+
 # ---------------------------------------------------------------- the catalogue
 
 
@@ -802,6 +818,20 @@ EFFECTS: tuple[Effect, ...] = (
         "V",
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=Elastoplastic(4),
+    ),
+    Effect(
+        "hysteresis",
+        "interface",
+        "F = f z, z' = (qdot / travel) (1 - |z| (b + (1 - b) sgn(qdot z))) (Bouc-Wen)",
+        (
+            _FRICTION,
+            EffectParameter("travel", "m|rad", 0.04, 2.0, (0.1, 0.5), _q, log=True),
+            EffectParameter("shape", "1", 0.5, 1.0, (0.7,)),
+        ),
+        "V",
+        "the same amplitude at 0.1, 1 and 4 Hz",
+        plant=PlannedForce(_bouc_wen),
+        form="_bouc_wen",
     ),
     Effect(
         "relaxation",

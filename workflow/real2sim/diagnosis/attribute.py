@@ -219,6 +219,7 @@ def attribute(pair: Pair, start: np.ndarray, settings: dict, progress: Callable[
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
         hypotheses += _pairs(search, plain, singles, hypotheses, settings)
+        hypotheses += _grow(search, hypotheses, singles, sum(count), settings, progress)
     return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
 
 
@@ -256,3 +257,31 @@ def _pairs(
             seen.add(key)
             out.append(search.fit(option.effects, option.start))
     return sorted(out, key=lambda h: sum(h.chi2))
+
+
+def _grow(
+    search: Search,
+    found: Sequence[Hypothesis],
+    singles: Sequence[Screened],
+    samples: int,
+    settings: dict,
+    progress: Callable[[str], None],
+) -> list[Hypothesis]:
+    """Third and further effects (or axes of one) on top of the best set, while each earns much of what is left."""
+    best = min(found, key=lambda h: sum(h.chi2))
+    out: list[Hypothesis] = []
+    while len(best.effects) < settings["most_effects"]:
+        left = sum(best.chi2) - samples
+        if left < settings["pair_excess_sigma"] * np.sqrt(2 * samples):
+            break
+        taken = {placed.key for placed in best.effects}
+        places = [s.effects[-1] for s in singles[: settings["pair_pool"]] if s.effects[-1].key not in taken]
+        options = search.screen(best, places)[: settings["pair_refits"]]
+        more = [search.fit(option.effects, option.start) for option in options]
+        out += more
+        grown = min([best, *more], key=lambda h: sum(h.chi2))
+        if sum(best.chi2) - sum(grown.chi2) < settings["grow_share"] * left:
+            break
+        best = grown
+        progress(f"{best.key} leaves {(sum(best.chi2) - samples) / np.sqrt(2 * samples):.1f} sigma")
+    return out

@@ -8,7 +8,6 @@ band of frequency and over all channels at once. After that a sum of squares is 
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -41,17 +40,20 @@ SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_SMEAR_S = 4.0, 7.0, 0.08
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
 
 
-def robot_motion(path: Path, n: int, start: int) -> np.ndarray | None:
+def robot_motion(path: Path, interface: np.ndarray, start: int) -> np.ndarray | None:
     """Logged robot joints (n, 6) relative to their mean over the first ``start`` samples, the base in world axes.
 
-    None where the trial has no log, or one that knows less than half of it.
+    The heading of the odometry is laid on that of the interface markers (n, 2, 3) while the person stands: later on the
+    markers may drift, and the log must not follow. None where the trial has no log, or one that knows less than half.
     """
     table = pq.read_table(path)
     columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
     known = np.isfinite(columns).all(axis=1)
-    if len(columns) != n or known.mean() < 0.5 or not known[:start].any():
+    across = interface[:start, 0] - interface[:start, 1]
+    turn = np.arctan2(-across[:, 0], across[:, 1]) - columns[:start, 2]
+    if known.mean() < 0.5 or not np.isfinite(turn).any():
         return None
-    turn = json.loads(table.schema.metadata[b"real2sim"]).get("yaw_odom_to_world_rad", 0.0)
+    turn = float(np.angle(np.nanmean(np.exp(1j * turn))))
     x, y = columns[:, 0].copy(), columns[:, 1].copy()
     columns[:, 0] = np.cos(turn) * x - np.sin(turn) * y
     columns[:, 1] = np.sin(turn) * x + np.cos(turn) * y
@@ -298,7 +300,7 @@ def load_evidence(
     n, rate = len(trial.time_s), settings["ingest"]["rate_hz"]
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
-    measured = robot_motion(folder / "robot.parquet", n, start)
+    measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     context = Context(
@@ -312,7 +314,7 @@ def load_evidence(
         100.0,
         trial.interface,
         spikes(trial.interface, rate),
-        q,
+        signals.lowpass(q, rate, cutoff, 4),
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)

@@ -1,0 +1,264 @@
+"""Effects, evidence and decision of the diagnosis, against closed forms and the phantom's own physics."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
+from real2sim.coupling.superset import EffectReplay
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide
+from real2sim.diagnosis.score import score_diagnosis
+
+from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
+
+NAMES_OF_THE_DESIGN = [
+    "slack",
+    "one_sided",
+    "stiffening",
+    "asymmetric_stiffness",
+    "coulomb",
+    "lugre",
+    "hysteresis",
+    "relaxation",
+    "creep",
+    "migration",
+    "cross_coupling",
+    "misalignment",
+    "preload",
+    "joint_limit",
+    "quadratic_damping",
+    "added_mass",
+    "base_compliance",
+    "controller_reaction",
+    "tilt",
+    "soft_tissue",
+    "lab_yaw",
+    "replay_lag",
+    "sync_offset",
+    "clock_drift",
+    "filter_lag",
+    "marker_offset",
+    "marker_drift",
+    "outliers",
+]
+
+SCALES = Scales(
+    np.array([0.05, 0.04, 0.02, 0.08, 0.1, 0.25]),
+    np.array([0.12, 0.15, 0.16, 0.45, 0.44, 0.78]),
+    PRIOR[:6],
+    PRIOR[6:],
+    np.array([65.0, 35.0, 7.0, 0.24, 0.22, 4.0]),
+)
+# Searched numbers at which an effect does nothing
+NEUTRAL = {
+    "stiffening": [0.0],
+    "asymmetric_stiffness": [0.0],
+    "coulomb": [-20.0],
+    "cross_coupling": [0.0],
+    "misalignment": [0.0] * 3,
+    "preload": [0.0],
+    "quadratic_damping": [0.0],
+    "added_mass": [0.0, 0.0],
+    "base_compliance": [0.0] * 6,
+    "controller_reaction": [0.0, 0.1],
+    "tilt": [0.0, 0.0],
+    "soft_tissue": [0.0] * 18,
+    "lab_yaw": [0.0],
+    "replay_lag": [0.0],
+    "sync_offset": [0.0],
+    "clock_drift": [0.0],
+    "marker_offset": [0.0] * 6,
+    "marker_drift": [0.0] * 3,
+    "slack": [-20.0],
+}
+
+
+def replay(effects: list[Placed], nsim: int = 1, seconds: float = 3.0) -> EffectReplay:
+    offset = smooth_motion(seconds)
+    time = np.arange(len(offset)) / 100
+    rotation = rotation_xyz(offset[:, 3:])
+    position = np.array([0.0, 0.0, 0.95]) - REST.position + offset[:, :3]
+    still = np.zeros((len(time), 2, 3))
+    context = Context(
+        time,
+        time,
+        rotation,
+        position,
+        rotation,
+        100.0 * offset[:, :3],
+        10,
+        100.0,
+        still,
+        np.zeros((len(time), 2), bool),
+        -offset,
+    )
+    return EffectReplay(
+        effects=effects,
+        context=context,
+        scales=SCALES,
+        robot=ROBOT,
+        robot_settings=CONFIG["robot"],
+        plant_settings=CONFIG["plant"] | {"timestep_s": 0.01},
+        time_s=time,
+        pelvis_rotation=rotation,
+        pelvis_position=position,
+        start_rotation=np.eye(3),
+        start_position=np.array([0.0, 0.0, 0.95]),
+        rest=REST,
+        limits=None,
+        nsim=nsim,
+    )
+
+
+@pytest.fixture(scope="module")
+def plain() -> np.ndarray:
+    return replay([]).run_effects(PRIOR[None], [])[0]
+
+
+def test_catalogue_has_the_names_of_the_design():
+    assert list(EFFECT_NAMES) == NAMES_OF_THE_DESIGN
+
+
+def test_every_entry_says_what_it_is():
+    for effect in EFFECTS:
+        assert effect.stage in {"input", "interface", "robot", "output"}
+        assert effect.equation
+        assert effect.separating_trial
+        assert effect.group
+        acts = [effect.plant, effect.input_chain, effect.output_chain]
+        assert sum(part is not None for part in acts) == 1
+        for parameter in effect.parameters:
+            assert parameter.lower < parameter.upper
+            assert all(parameter.lower <= start <= parameter.upper for start in parameter.starts)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: f"{e.name}{e.form}")
+def test_effect_changes_the_simulation_and_nothing_does_not(effect, plain):
+    where = effect.places()[0]
+    # small scales, so that whatever has a threshold is beyond it
+    placed = Placed(effect, where, replace(SCALES, q=SCALES.q / 5))
+    model = replay([placed], nsim=2)
+    acting, _ = model.run_effects(np.tile(PRIOR, (2, 1)), [np.tile(placed.starts()[-1], (2, 1))])
+    assert np.isfinite(acting).all()
+    np.testing.assert_array_equal(acting[0], acting[1])
+    quiet = {"outliers", "marker_offset", "marker_drift", "soft_tissue", "misalignment"}
+    if effect.name not in quiet:
+        assert np.abs(acting[0] - plain[0]).max() > 1e-5
+    if effect.name in NEUTRAL:
+        x = np.array([NEUTRAL[effect.name]])
+        nothing, _ = model.run_effects(PRIOR[None], [x])
+        # dry friction is a constraint and never quite absent
+        tolerance = 2e-5 if effect.name == "coulomb" else 1e-9
+        np.testing.assert_allclose(nothing[0], plain[0], atol=tolerance)
+
+
+def test_a_second_call_does_not_remember_the_first(plain):
+    placed = [
+        Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in ("tilt", "lab_yaw", "hysteresis")
+    ]
+    model = replay(placed)
+    x = [p.starts()[:1] for p in placed]
+    first, _ = model.run_effects(PRIOR[None], x)
+    again, _ = model.run_effects(PRIOR[None], x)
+    np.testing.assert_array_equal(first, again)
+
+
+def test_late_markers_are_the_plain_ones_later(plain):
+    effect = next(e for e in EFFECTS if e.name == "sync_offset")
+    placed = Placed(effect, effect.places()[0], SCALES)
+    late, _ = replay([placed]).run_effects(PRIOR[None], [np.array([[0.05]])])
+    np.testing.assert_allclose(late[0, 50:], plain[0, 45:-5], atol=1e-6)
+
+
+def test_slack_leaves_the_strap_without_force_inside():
+    """Inside the dead band a strap without damping does not move a robot that stands still."""
+    effect = next(e for e in EFFECTS if e.name == "slack")
+    loose = [Placed(effect, where, SCALES) for where in effect.places()]
+    parameters = PRIOR.copy()
+    parameters[6:] = 1e-6
+    model = replay(loose)
+    wide = [np.array([[np.log(20.0)]])] * 6
+    paths, joints = model.run_effects(parameters[None], wide)
+    assert np.abs(joints).max() < 1e-4
+    assert np.abs(paths[0] - paths[0, 0]).max() < 1e-4
+
+
+CALIBRATION = CONFIG["diagnosis"]["calibration"]
+
+
+def test_no_gap_is_none():
+    plain = Candidate((), 0, (1000.0, 1000.0))
+    other = Candidate(("slack",), 1, (990.0, 995.0))
+    decision = decide(plain, [other], (1000, 1000), CALIBRATION)
+    assert decision.verdict == NONE
+    assert sum(decision.probabilities.values()) == pytest.approx(1)
+
+
+def test_an_effect_that_explains_the_gap_is_named():
+    plain = Candidate((), 0, (9000.0, 8000.0))
+    sets = [Candidate(("slack",), 1, (1010.0, 1020.0)), Candidate(("stiffening",), 1, (4000.0, 5000.0))]
+    decision = decide(plain, sets, (1000, 1000), CALIBRATION)
+    assert decision.verdict == "slack"
+    assert decision.probabilities["slack"] > 0.8
+
+
+def test_a_gap_that_nothing_explains_is_unknown():
+    plain = Candidate((), 0, (90000.0, 80000.0))
+    sets = [Candidate(("slack",), 1, (70000.0, 65000.0))]
+    decision = decide(plain, sets, (1000, 1000), CALIBRATION)
+    assert decision.verdict == UNKNOWN
+
+
+def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Path) -> tuple[dict, Path]:
+    probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0) | {verdict: 1.0}
+    answer = {
+        "subject": name,
+        "verdict": verdict,
+        "verdict_set": [verdict],
+        "probabilities": probabilities,
+        "where": {"stage": "interface", "axes": {"tx": 1.0, "ty": 0.0}},
+        "gap": {"J_base": 2.0, "J_floor": 1.0, "J_with_effect": 1.0},
+        "parameters": {"k_tx": {"base": 800.0, "with_effect": 710.0}},
+        "baselines": {"AIC": verdict},
+    }
+    target = folder / name / "diagnosis.json"
+    target.parent.mkdir()
+    target.write_text(json.dumps(answer))
+    (target.parent / "seconds.json").write_text('{"seconds": 3.0}')
+    truth = {
+        "id": name,
+        "stratum": stratum,
+        "effects": [{"effect": e, "family": e, "axes": ["tx"], "stage": "interface"} for e in effects],
+        "visibility": {"target": 0.2, "predicted": 0.2},
+        "parameters": {"k_tx": {"value": 700.0}},
+    }
+    return truth, target
+
+
+def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
+    made = [
+        _case("C0001", "in_library", ["slack"], "slack", tmp_path),
+        _case("C0002", "in_library", ["coulomb"], "lugre", tmp_path),
+        _case("C0003", "null", [], NONE, tmp_path),
+        _case("C0004", "null", [], "slack", tmp_path),
+        _case("C0005", "out_of_library", ["push"], UNKNOWN, tmp_path),
+        _case("C0006", "mixture", ["slack", "coulomb"], "slack", tmp_path),
+    ]
+    truth, answers = tmp_path / "truth.json", tmp_path / "answers.json"
+    truth.write_text(json.dumps({"cases": [t for t, _ in made]}))
+    answers.write_text(json.dumps({"answers": [str(path) for _, path in made]}))
+    score_diagnosis(answers=[answers], truths=[truth], suite="test", out=tmp_path / "score.json")
+    score = json.loads((tmp_path / "score.json").read_text())
+    claims = {row["claim"]: row for row in score["targets"]}
+    assert claims["cause, top-1, rho >= 0.2"]["value"] == 0.5
+    assert claims["ambiguity group, rho >= 0.2"]["value"] == 1.0
+    assert claims["false alarm on null"]["value"] == 0.5
+    assert not claims["false alarm on null"]["met"]
+    assert claims["out of library: unknown"]["value"] == 1.0
+    assert claims["mixture: exact set"]["value"] == 0.0
+    assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004"}
+    assert score["baselines"][1] == {"name": "AIC", "top1": 0.5, "false_alarm": 0.5}

@@ -158,9 +158,11 @@ def _synthesise(
         person.marker_noise_m *= suite["noise"]["hard_factor"]
         if settings["trials"]["dynamic_s"] == suite["trials"]["dynamic_s"]:
             smooth = float(suite["noise"]["hard_filter_hz"])
-    regime = suite["motion"]["held_out"][
-        int(stream(suite, case.id, "regime").integers(len(suite["motion"]["held_out"])))
-    ]
+    causes = [_Cause(FORMS[name], name) for name in case.forms]
+    regimes = suite["motion"]["held_out"]
+    if any(cause.form.within_training for cause in causes):
+        regimes = [min(regimes)]
+    regime = regimes[int(stream(suite, case.id, "regime").integers(len(regimes)))]
     motions, paths, starts, hands = {}, {}, {}, {}
     for name in TRIALS:
         rng = stream(suite, case.id, name, "motion")
@@ -176,7 +178,6 @@ def _synthesise(
         paths[name] = _path(
             robot, motions[name], starts[name], person, person.rest_rotation, person.rest_position, settings
         )
-    causes = [_Cause(FORMS[name], name) for name in case.forms]
     return _Synthetic(case, person, settings, motions, paths, starts, hands, smooth, tuple(regime), causes)
 
 

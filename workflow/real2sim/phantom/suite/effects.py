@@ -71,6 +71,8 @@ class Form:
     moves_truth: ClassVar[bool] = True
     moves_model: ClassVar[bool] = False
     units: ClassVar[dict[str, tuple[str, str] | str]] = {}
+    # whether the training trial has to go further than the held-out one, else only the latter shows the effect
+    within_training: ClassVar[bool] = False
 
     def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         """Draw what does not depend on the severity."""
@@ -399,9 +401,10 @@ def _moved(setup: Setup, rotation: np.ndarray, position: np.ndarray) -> PelvisPa
 
 @register
 class JointLimit(StrapForm):
-    """A stop that the analysis does not know, inside the range: at 97 down to 40 % of the reach."""
+    """A stop that the analysis does not know, inside the range of the training trial, down to 40 % of it."""
 
     effect = form = "joint_limit"
+    within_training = True
     regime = "large amplitude"
     units: ClassVar = {"limit": _LENGTH, "side": ""}
 

@@ -73,6 +73,7 @@ class _Synthetic:
     base: dict[str, TruePaths] = field(default_factory=dict)
     about: Context | None = None
     refit: Refit | None = None
+    rho: float | None = None
 
     @property
     def target(self) -> float:
@@ -120,8 +121,7 @@ def write_cases(
             "shard": shard,
             "robot": robot.name,
             "cases": [
-                _write(world, p, true, out / p.case.id, home)
-                for p, true in zip(people, finished, strict=True)
+                _write(p, true, out / p.case.id, home) for p, true in zip(people, finished, strict=True)
             ],
         },
     )
@@ -158,9 +158,11 @@ def _synthesise(
         person.marker_noise_m *= suite["noise"]["hard_factor"]
         if settings["trials"]["dynamic_s"] == suite["trials"]["dynamic_s"]:
             smooth = float(suite["noise"]["hard_filter_hz"])
-    regime = suite["motion"]["held_out"][
-        int(stream(suite, case.id, "regime").integers(len(suite["motion"]["held_out"])))
-    ]
+    causes = [_Cause(FORMS[name], name) for name in case.forms]
+    regimes = suite["motion"]["held_out"]
+    if any(cause.form.within_training for cause in causes):
+        regimes = [min(regimes)]
+    regime = regimes[int(stream(suite, case.id, "regime").integers(len(regimes)))]
     motions, paths, starts, hands = {}, {}, {}, {}
     for name in TRIALS:
         rng = stream(suite, case.id, name, "motion")
@@ -176,7 +178,6 @@ def _synthesise(
         paths[name] = _path(
             robot, motions[name], starts[name], person, person.rest_rotation, person.rest_position, settings
         )
-    causes = [_Cause(FORMS[name], name) for name in case.forms]
     return _Synthetic(case, person, settings, motions, paths, starts, hands, smooth, tuple(regime), causes)
 
 
@@ -363,6 +364,13 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
     for _, cause in jobs:
         assert cause.search is not None
         cause.severity, cause.rho = cause.search.best
+    mixed = [p for p in people if len(p.causes) > 1]
+    together = _gaps(world, mixed, [_applied(p) for p in mixed]) if mixed else []
+    for p in people:
+        if p.causes:
+            p.rho = p.causes[0].rho
+    for p, rho in zip(mixed, together, strict=True):
+        p.rho = rho
 
 
 def _quieten(p: _Synthetic, most: float, lowest_m: float) -> float:
@@ -575,9 +583,7 @@ def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measur
     return out
 
 
-def _write(
-    world: _World, p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndarray
-) -> dict[str, Any]:
+def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndarray) -> dict[str, Any]:
     settings, person = p.settings, p.person
     notes: dict[str, Any] = {}
     for index, trial_name in enumerate(TRIALS):
@@ -598,21 +604,16 @@ def _write(
     facts = {"id": person.name, "phantom": True, **person.facts}
     text = f"# {exports.NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
     write_text(folder / "subject.yaml", text)
-    return _truth(world, p, notes)
+    return _truth(p, notes)
 
 
-def _truth(world: _World, p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any]:
+def _truth(p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any]:
     assert p.refit is not None
-    rho = None
-    if len(p.causes) == 1:
-        rho = p.causes[0].rho
-    elif p.causes:
-        rho = _gaps(world, [p], [_applied(p)])[0]
     return {
         "id": p.case.id,
         "stratum": p.case.stratum,
         "effects": [_cause_truth(p, cause) for cause in p.causes],
-        "visibility": {"target": p.case.target, "predicted": rho},
+        "visibility": {"target": p.case.target, "predicted": p.rho},
         "floor": {TRAIN: p.refit.floor_train, HELD_OUT: p.refit.floor_held_out},
         "parameters": {
             name: {"value": value, "unit": UNITS[name]} for name, value in p.person.parameters.items()

@@ -89,12 +89,12 @@ def replay(effects: list[Placed], nsim: int = 1, seconds: float = 3.0) -> Effect
         rotation,
         position,
         rotation,
-        100.0 * offset[:, :3],
         10,
         100.0,
         still,
         np.zeros((len(time), 2), bool),
         -offset,
+        np.gradient(-offset, 0.01, axis=0),
     )
     return EffectReplay(
         effects=effects,

@@ -9,10 +9,18 @@ import time
 
 
 def _jobs(project, *targets: str) -> list[dict[str, str]]:
-    text = project.snakemake("--detailed-summary", "--cores", "1", *targets).stdout
-    lines = [line for line in text.splitlines() if "\t" in line]
-    header = lines[0].split("\t")
-    return [dict(zip(header, line.split("\t"), strict=False)) for line in lines[1:]]
+    """Rule, inputs, outputs and command of every job that a dry run plans."""
+    text = project.snakemake("-n", "-p", "--cores", "1", *targets, "--quiet", "progress").stdout
+    jobs = []
+    for block in re.split(r"\n(?=(?:local)?rule )", text)[1:]:
+        job = {"rule": re.match(r"(?:local)?rule (\w+):", block)[1], "input": "", "output": "", "command": ""}
+        for key in ("input", "output"):
+            found = re.search(rf"^    {key}: (.*)$", block, re.M)
+            job[key] = found[1] if found else ""
+        command = re.search(r"^Shell command: (.*)$", block, re.M)
+        job["command"] = command[1] if command else ""
+        jobs.append(job)
+    return jobs
 
 
 def test_dry_run_of_a_clean_clone(project):
@@ -27,14 +35,12 @@ def test_dry_run_of_a_clean_clone(project):
 
 def test_no_rule_reads_the_sealed_truth(project):
     jobs = _jobs(project)
-    sealed = [job for job in jobs if "results/phantom/sealed/" in job["output_file"]]
-    assert len(sealed) == 6
-    readers = [job["rule"] for job in jobs if "sealed" in job["input-file(s)"]]
-    assert readers == []
-    writers = {job["rule"] for job in sealed}
+    writers = {job["rule"] for job in jobs if "results/phantom/sealed/" in job["output"]}
+    assert len(writers) == 6
     assert all(rule.startswith("phantom_") for rule in writers)
-    commands = [job["shellcmd"] for job in jobs if job["rule"] not in writers]
-    assert commands
+    assert [job["rule"] for job in jobs if "sealed" in job["input"]] == []
+    commands = [job["command"] for job in jobs if job["rule"] not in writers]
+    assert sum("python -m real2sim" in command for command in commands) > 100
     assert not any("sealed" in command for command in commands)
 
 
@@ -49,10 +55,10 @@ def test_suite_of_cases_is_apart_from_the_study(project):
 
 def test_only_the_score_opens_the_seal_of_a_suite(project):
     jobs = _jobs(project, "suite")
-    writers = {job["rule"] for job in jobs if "/sealed/" in job["output_file"]}
+    writers = {job["rule"] for job in jobs if "/sealed/" in job["output"]}
     assert writers == {"suite_cases_000", "suite_cases_001"}
-    # a job sees what its command names: every input is handed over there
-    told = {job["rule"] for job in jobs if "sealed" in job["shellcmd"]}
+    assert {job["rule"] for job in jobs if "/sealed/" in job["input"]} == {"score_diagnosis"}
+    told = {job["rule"] for job in jobs if "sealed" in job["command"]}
     assert told == writers | {"score_diagnosis"}
 
 

@@ -438,9 +438,9 @@ class Context:
     """What the chains and forces of a trial are computed from.
 
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
-    (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``base_reaction`` (n, 3) [N, N, Nm] what the strap of the plain
-    fit does to the base; ``start`` sample index up to which the person stands; ``robot_mass`` [kg]; ``measured``
-    (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump; ``coordinates`` (n, 6) of the interface.
+    (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the person stands;
+    ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
+    ``coordinates`` and ``rates`` (n, 6) of the interface.
     """
 
     time_s: np.ndarray
@@ -448,12 +448,12 @@ class Context:
     pelvis_rotation: np.ndarray
     pelvis_position: np.ndarray
     interface_rotation: np.ndarray
-    base_reaction: np.ndarray
     start: int
     robot_mass: float
     measured: np.ndarray
     spikes: np.ndarray
     coordinates: np.ndarray
+    rates: np.ndarray
 
 
 # ---------------------------------------------------------------- input and output chain
@@ -546,17 +546,20 @@ def _without_spikes(paths, values, context):
 
 
 def _tilt(values, context, where, parameters):
-    force = np.zeros((len(values), len(context.step_time_s), 3))
-    force[:, :, :2] = (9.81 * context.robot_mass * values)[:, None, :]
-    return force
+    force = 9.81 * context.robot_mass * values
+    return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)
 
 
 def _reaction(values, context, where, parameters):
-    out = np.empty((len(values), len(context.step_time_s), 3))
+    # what the strap does to the interface, seen by a controller in the plane and answered late
+    force = -(
+        parameters[:, None, :3] * context.coordinates[:, :3] + parameters[:, None, 6:9] * context.rates[:, :3]
+    )
+    world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
+    out = np.empty((len(values), len(context.step_time_s), 2))
     for i, (gain, delay) in enumerate(values):
-        t = context.step_time_s - delay
-        for c in range(3):
-            out[i, :, c] = gain * np.interp(t, context.time_s, context.base_reaction[:, c])
+        for c in range(2):
+            out[i, :, c] = gain * np.interp(context.step_time_s - delay, context.time_s, world[i, :, c])
     return out
 
 
@@ -744,19 +747,15 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "one_sided",
         "interface",
-        "F = -k max(q - q0, 0), or its mirror image",
-        (EffectParameter("engages_at", "m|rad", -1.0, 1.0, (-0.3, 0.1), _q),),
+        "F = k q + k1 max(q - q0, 0), or its mirror image: a strap that pulls to one side alone",
+        (
+            EffectParameter("engages_at", "m|rad", 0.0, 0.3, (0.05,), _q),
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 50.0, (0.5, 4.0), _k, log=True),
+        ),
         "S",
         _LADDER,
         scope="side",
-        plant=SplitSpring(
-            lambda v, where: (
-                (np.full(len(v), -_FAR), v[:, 0], 0.0, 1.0)
-                if where.side > 0
-                else (-v[:, 0], np.full(len(v), _FAR), 1.0, 0.0)
-            )
-        ),
-        replaces_spring=True,
+        plant=Stop(),
     ),
     Effect(
         "stiffening",
@@ -916,7 +915,7 @@ EFFECTS: tuple[Effect, ...] = (
         "interface",
         "a stop inside the range that the limits allow",
         (
-            EffectParameter("place", "m|rad", 0.2, 1.2, (0.6, 0.85), _q, log=True),
+            EffectParameter("place", "m|rad", 0.3, 1.2, (0.6, 0.85), _q, log=True),
             EffectParameter("stiffness", "N/m|Nm/rad", 1.0, 200.0, (8.0,), _k, log=True),
         ),
         "A",
@@ -975,7 +974,7 @@ EFFECTS: tuple[Effect, ...] = (
         "M",
         "the same motion with the controller off",
         scope="whole",
-        plant=PlannedForce(_reaction, ROBOT_JOINTS[:3]),
+        plant=PlannedForce(_reaction, ROBOT_JOINTS[:2]),
     ),
     Effect(
         "tilt",
@@ -985,7 +984,7 @@ EFFECTS: tuple[Effect, ...] = (
         "S",
         "turning in place",
         scope="whole",
-        plant=PlannedForce(_tilt, ROBOT_JOINTS[:3]),
+        plant=PlannedForce(_tilt, ROBOT_JOINTS[:2]),
     ),
     Effect(
         "soft_tissue",

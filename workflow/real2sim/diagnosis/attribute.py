@@ -18,6 +18,8 @@ from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares
 from real2sim.identification.parameters import Bounds
 
+# Chi-squared of a set of effects that MuJoCo gives up on
+FAILED = 1e12
 # Longest step in ln or searched numbers that the screening believes
 LONGEST_STEP = 1.5
 
@@ -114,10 +116,12 @@ class Search:
         residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
         z, _ = refit(residuals, start, iterations=self._settings["iterations"], ftol=self._settings["ftol"])
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds)
-        chi2 = (residuals.chi2(z), held_out.chi2(z))
+        pair = np.array([residuals.chi2(z), held_out.chi2(z)])
+        # what cannot be simulated explains nothing
+        chi2 = tuple(np.where(np.isfinite(pair), pair, FAILED).tolist())
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
-        return Hypothesis(tuple(effects), z, chi2, count)
+        return Hypothesis(tuple(effects), z, (chi2[0], chi2[1]), count)
 
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""

@@ -71,12 +71,16 @@ def logits(
     excess = max(f["excess_sd"], 0.0) * np.sqrt(2 * sum(samples))
     temperature = c["temperature"] + c["temperature_per_excess"] * excess
 
+    # a further effect must earn something in itself and beside the gap
+    further = c["second_effect"] + c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
+
     def score(candidate: Candidate) -> float:
         weighted = c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
-        return -(weighted + c["per_parameter"] * candidate.parameters) / temperature
+        price = c["per_parameter"] * candidate.parameters + further * max(len(candidate.names) - 1, 0)
+        return -(weighted + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
-    rows = [score(x) - best - c["second_effect"] * (len(x.names) - 1) for x in candidates]
+    rows = [score(x) - best for x in candidates]
     rows.append(score(plain) - best + c["none_gain"] / temperature + c["none"])
     unexplained = np.log(max(f["unexplained"], 1e-4))
     rows.append(

@@ -297,7 +297,7 @@ def load_evidence(
         start_window_s=ident["start_window_s"],
         settle_s=ident["settle_after_gap_s"],
     )
-    n, rate = len(trial.time_s), settings["ingest"]["rate_hz"]
+    rate = settings["ingest"]["rate_hz"]
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
@@ -309,12 +309,12 @@ def load_evidence(
         bridged_rotation(trial.pelvis_rotation),
         bridged(trial.pelvis_position),
         bridged_rotation(rotation),
-        np.zeros((n, 3)),
         start,
-        100.0,
+        float(mujoco.MjModel.from_xml_path(str(robot)).body_mass.sum()),
         trial.interface,
         spikes(trial.interface, rate),
         signals.lowpass(q, rate, cutoff, 4),
+        signals.lowpass(qd, rate, cutoff, 4),
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
@@ -347,20 +347,6 @@ def adapted(evidence: Evidence, parameters: np.ndarray) -> Scales:
     inertia = 1 / np.diag(np.linalg.inv(mass))[dofs]
     old = evidence.scales
     return Scales(old.q, old.v, parameters[:6], parameters[6:], inertia)
-
-
-def describe_reaction(evidence: Evidence, folder: Path, parameters: np.ndarray) -> None:
-    """Put into the context what the strap of the plain fit (12,) does to the base, from the measured coordinates."""
-    qd = measured_coordinates(folder / "pose.parquet", "qd")
-    force = -(evidence.coordinates * parameters[:6] + qd * parameters[6:])
-    context = evidence.context
-    world = np.einsum("nij,nj->ni", context.pelvis_rotation, force[:, :3])
-    torque = np.einsum("nij,nj->ni", context.pelvis_rotation, force[:, 3:])
-    twin = mujoco.MjModel.from_xml_path(str(evidence.robot_file))
-    lever = bridged(evidence.trial.interface.mean(axis=1)) - twin.body("base").pos
-    yaw = lever[:, 0] * world[:, 1] - lever[:, 1] * world[:, 0] + torque[:, 2]
-    context.base_reaction = np.column_stack([world[:, :2], yaw])
-    context.robot_mass = float(twin.body_mass.sum())
 
 
 def bridged(values: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
-from real2sim.diagnosis.evidence import Evidence, adapted, describe_reaction, load_evidence, marker_noise
+from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.geometry import AXES, INTERFACE_MARKERS
@@ -54,9 +54,8 @@ def prepare(
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
-    for item, folder in zip(evidence, folders, strict=True):
+    for item in evidence:
         item.scales = scales
-        describe_reaction(item, folder, np.exp(z))
         item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
     return Pair(evidence[0], evidence[1], bounds), z
 

@@ -49,6 +49,9 @@ COMMANDS = {
     "loso-figure": "real2sim.figures.fits:loso_figure",
     "priors-table": "real2sim.figures.tables:priors_table",
     "cross-trial-table": "real2sim.figures.tables:cross_trial_table",
+    "diagnosis-page": "real2sim.figures.diagnosis:diagnosis_page",
+    "diagnosis-table": "real2sim.figures.diagnosis:diagnosis_table",
+    "suite-page": "real2sim.figures.suite:suite_page",
     "index-page": "real2sim.figures.index:index_page",
 }
 

@@ -165,6 +165,7 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
             "J": floor,
             "ci95": [float(q) for q in np.quantile(draws, [0.025, 0.975])],
             "source": "marker noise of the trials, simulated through the plant",
+            "residual_sd_m": _residual_sd(noise),
         },
         "gap": {
             "J_base": base,
@@ -218,6 +219,13 @@ def _paths(evidence: Evidence, hypothesis: Hypothesis) -> np.ndarray:
     """Simulated interface markers (n, 2, 3) of a hypothesis."""
     replay = evidence.replay(list(hypothesis.effects), 1)
     return replay.run_effects(np.exp(hypothesis.z[None, :12]), [x[None] for x in hypothesis.split()])[0][0]
+
+
+def _residual_sd(noise: np.ndarray) -> dict[str, float]:
+    """RMS [m] over draws and samples of what noise (draws, n, 6) alone leaves, by interface marker and world axis."""
+    rms = np.sqrt(np.mean(noise**2, axis=(0, 1)))
+    names = [f"{marker}_{axis}" for marker in INTERFACE_MARKERS for axis in "xyz"]
+    return {name: float(value) for name, value in zip(names, rms, strict=True)}
 
 
 def _axes(best: Hypothesis, measured: dict[str, float]) -> dict[str, float]:

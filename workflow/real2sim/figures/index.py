@@ -54,6 +54,11 @@ CAPTIONS = {
         "Cost J (no unit) of each trial's best fit on its own and on the other trial, overhead in %. Paper:"
         " section V-B.1.",
     ),
+    "diagnosis": (
+        "Diagnosis",
+        "What causes each person's sim-to-real gap and how far it shrinks on a held-out trial. Costs J and shares "
+        "have no unit; J_floor is what measurement noise alone costs.",
+    ),
     "fits": ("All fits", "One row per restart; units in the column names."),
 }
 STYLE = """

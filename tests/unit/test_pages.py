@@ -1,0 +1,317 @@
+"""The pages of a diagnosis and of a suite's score: whole, valid, telling every cause, loading nothing."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from real2sim.__main__ import main
+from real2sim.artefacts import number, read_table, write_json
+from real2sim.errors import InputError
+from real2sim.figures.diagnosis import diagnosis_page, diagnosis_table
+from real2sim.figures.style import PHANTOM_LABEL
+from real2sim.figures.suite import suite_page
+from real2sim.geometry import AXES, INTERFACE_MARKERS
+
+VOID = {"meta", "br"}
+
+
+class _Page(HTMLParser):
+    """Tags closed in order, ids once, text, what it would load, headings and pictures without words."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.references, self.text, self.headings, self.wordless = [], [], [], "", [], 0
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.ids += [given["id"]] if "id" in given else []
+        self.references += [given[k] for k in ("src", "href", "srcset", "data", "action") if k in given]
+        self.headings += [int(tag[1])] if re.fullmatch("h[1-6]", tag) else []
+        self.wordless += tag == "svg" and not given.get("aria-label")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def _parsed(path):
+    content = path.read_text(encoding="utf-8")
+    page = _Page()
+    page.feed(content)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    assert all(r.startswith("#") and r[1:] in page.ids for r in page.references)
+    assert all(r in page.ids for r in re.findall(r"url\(#([^)]+)\)", content))
+    assert not re.search(r"https?:|<script|@import|url\((?!#)|nan\b", content)
+    assert page.headings[0] == 1
+    assert page.headings.count(1) == 1
+    assert page.wordless == 0
+    assert "prefers-color-scheme: dark" in content
+    return page
+
+
+def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), **changes):
+    named = verdict not in ("none", "unknown")
+    probabilities = dict.fromkeys(("slack", "soft_tissue", "tilt", "none", "unknown"), 0.02) | {verdict: 0.92}
+    cause = {"axes": ["ty"], "stage": "interface", "equation": "F < k & q", "with": [], "group": "A"}
+    width = {"value": 0.0081, "unit": "m", "ci95": [0.0062, 0.0104]}
+    base, floor = (0.61, 0.12) if verdict != "none" else (0.119, 0.12)
+    return {
+        "schema": 1,
+        "subject": "S01",
+        "phantom": phantom,
+        "train": ["dynamic_1"],
+        "held_out": ["dynamic_2"],
+        "noise_floor": {
+            "J": floor,
+            "ci95": [0.1, 0.15],
+            "source": "noise",
+            "residual_sd_m": {"IF_R_z": 2e-4},
+        },
+        "gap": {
+            "J_base": base,
+            "J_floor": floor,
+            "visibility": 4.1,
+            "J_with_effect": 0.169 if named else base,
+            "chi2_plain": [900, 800],
+            "chi2_best": [110, 120],
+            "chi2_expected": [100, 100],
+        },
+        "where": {
+            "stage": "interface",
+            "stages": {"interface": 0.94, "input": 0.02},
+            "axes": dict.fromkeys(AXES, 0.04) | {"ty": 0.8},
+            "sides": {"L": 0.5, "R": 0.5},
+            "terms": {"position": 0.4, "velocity": 0.6},
+            "world_axes": {"x": 0.1, "y": 0.9, "z": 0.0},
+            "times": [{"from_s": 0.0, "to_s": 6.0, "share": 1.0}],
+            "bands_hz": [{"from_hz": 0.0, "to_hz": 12.0, "share": 1.0}],
+            "regimes": [{"bin": "large amplitude, slow", "share": 1.0}],
+        },
+        "causes": [
+            cause
+            | {"effect": name, "probability": probabilities[name], "parameters": {"half_width_ty_m": width}}
+            | ({"J_held_out": 0.169, "gap_closed": 0.9, "gap_closed_ci95": [0.8, 1.0]} if i == 0 else {})
+            for i, name in enumerate(causes)
+        ],
+        "probabilities": probabilities,
+        "verdict": verdict,
+        "verdict_set": [verdict],
+        "ambiguity_group": [verdict, "soft_tissue"] if named else [verdict],
+        "next_trial": "one motion at three amplitudes" if named else None,
+        "parameters": {
+            "k_tx": {"base": 725.0, "with_effect": 8000.0 if named else 725.0, "unit": "N/m"},
+            "d_tx": {"base": 40.0, "with_effect": 39.0 if named else 40.0, "unit": "Ns/m"},
+        },
+        "settings": {"identification": {"bounds": {"k_tx": [150, 8000]}, "at_bound_ln": 0.02}},
+        "provenance": {
+            "inputs_sha256": {"/a/pose.parquet": "ab" * 32},
+            "python": "3.11",
+            "packages": {"numpy": "2"},
+        },
+    } | changes
+
+
+def _write(folder, diagnosis):
+    """Files of a diagnosis whose plain model errs most at the right marker, up."""
+    folder.mkdir(exist_ok=True)
+    write_json(folder / "diagnosis.json", diagnosis)
+    time = np.arange(300) / 100
+    columns = {"time_s": time}
+    for marker in INTERFACE_MARKERS:
+        for axis in "xyz":
+            measured = np.sin(time)
+            error = (0.003 if (marker, axis) == ("IF_R", "z") else 0.001) * np.cos(9 * time)
+            measured[100:120] = np.nan
+            named = diagnosis["verdict"] not in ("none", "unknown")
+            for kind, share in (("measured", 0.0), ("plain", 1.0), ("with_effect", 0.1 if named else 1.0)):
+                columns[f"{kind}_{marker}_{axis}"] = measured + share * error
+    pq.write_table(pa.table(columns), folder / "traces.parquet")
+    return folder / "diagnosis.json", folder / "traces.parquet"
+
+
+def _page(folder, diagnosis):
+    written, traces = _write(folder, diagnosis)
+    diagnosis_page(diagnosis=written, traces=traces, out=folder / "diagnosis.html")
+    return _parsed(folder / "diagnosis.html")
+
+
+def test_page_tells_verdict_causes_values_and_what_next(tmp_path):
+    text = _page(tmp_path, _diagnosis()).text
+    assert "Slack causes the gap with a probability of 92 %" in text
+    assert "J falls from 0.61 to 0.169 with it, which leaves 10 % [0, 20] of the gap" in text
+    assert "soft tissue" in text
+    assert "F < k & q" in text
+    assert "8.1 mm" in text
+    assert "[6.2, 10.4]" in text
+    assert "[80, 100]" in text
+    assert "One motion at three amplitudes." in text
+    assert "do not tell slack from soft tissue" in text
+    assert "8000 (at bound)" in text
+    assert "Marker IF_R along world z" in text
+    assert "noise (2 SD)" in text
+    assert "all others together" in text
+    assert "2.9 % of what stood above noise is left" in text  # (1.2 - 1) / (8 - 1)
+
+
+def test_page_says_that_the_data_are_synthetic_only_where_they_are(tmp_path):
+    assert PHANTOM_LABEL in _page(tmp_path / "a", _diagnosis()).text
+    assert PHANTOM_LABEL not in _page(tmp_path / "b", _diagnosis(phantom=False)).text
+
+
+@pytest.mark.parametrize("causes", [(), ("slack",)])
+def test_page_of_no_cause_claims_none(tmp_path, causes):
+    text = _page(tmp_path, _diagnosis("none", causes=causes)).text
+    assert "No cause is named" in text
+    assert "There is no gap to place" in text
+    assert "none is needed to tell causes apart" in text
+    assert "causes the gap" not in text
+    assert "With effect" not in text
+
+
+def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):
+    text = _page(tmp_path, _diagnosis("unknown")).text
+    assert "The cause is unknown" in text
+    assert "the best of the catalogue closes 90 % of the gap" in text
+    assert "the catalogue has none for a cause that it does not hold" in text
+    assert "needed to tell" not in text
+
+
+def test_page_of_an_effect_that_does_not_carry_over_says_so(tmp_path):
+    worse = _diagnosis()
+    worse["gap"]["J_with_effect"] = 0.9
+    assert "it does not help: J goes from 0.61 to 0.9" in _page(tmp_path, worse).text
+
+
+def test_page_of_two_causes_names_both(tmp_path):
+    both = _diagnosis(verdict_set=["slack", "soft_tissue"], probabilities={"slack": 0.5, "soft_tissue": 0.5})
+    assert (
+        "Slack and soft tissue together cause the gap (probability 50 % and 50 %"
+        in _page(tmp_path, both).text
+    )
+
+
+def test_page_refuses_a_table_without_traces(tmp_path):
+    written, traces = _write(tmp_path, _diagnosis())
+    pq.write_table(pq.read_table(traces).drop_columns(["measured_IF_L_x"]), traces)
+    with pytest.raises(InputError, match="measured_IF_L_x"):
+        diagnosis_page(diagnosis=written, traces=traces, out=tmp_path / "page.html")
+
+
+def test_pages_are_the_same_bytes_for_the_same_data(tmp_path):
+    for name in ("a", "b"):
+        _page(tmp_path / name, _diagnosis())
+        _suite(tmp_path / name, _score())
+    for page in ("diagnosis.html", "suite.html"):
+        assert (tmp_path / "a" / page).read_bytes() == (tmp_path / "b" / page).read_bytes()
+
+
+def test_table_has_a_row_per_person_and_no_stage_where_there_is_no_gap(tmp_path):
+    verdicts = ("slack", "none", "unknown")
+    paths = [_write(tmp_path / v, _diagnosis(v, subject=v))[0] for v in verdicts]
+    out = tmp_path / "table.csv"
+    assert main(["diagnosis-table", "--diagnoses", *map(str, paths), "--out", str(out)]) == 0
+    slack, none, unknown = read_table(out)
+    assert [row["verdict"] for row in (slack, none, unknown)] == list(verdicts)
+    assert number(slack["gap_closed"]) == pytest.approx(0.9)
+    assert (slack["stage"], slack["axes"], slack["phantom"]) == ("interface", "ty", "true")
+    assert (none["stage"], none["axes"], none["gap_closed"], unknown["gap_closed"]) == ("", "", "", "")
+    diagnosis_table(diagnoses=[], out=out)
+    assert read_table(out) == []
+
+
+def _score(**changes):
+    return {
+        "schema": 1,
+        "suite": "small",
+        "phantom": True,
+        "cases": 40,
+        "targets": [
+            {
+                "claim": "top-1",
+                "value": 0.95,
+                "n": 20,
+                "wilson95": [0.8, 0.99],
+                "target": "≥ 90 %",
+                "met": True,
+            },
+            {
+                "claim": "slowest",
+                "value": 400.0,
+                "n": 40,
+                "wilson95": None,
+                "target": "≤ 300 s",
+                "met": False,
+            },
+        ],
+        "confusion": {"labels": ["slack", "none", "unknown"], "counts": [[19, 1, 0], [2, 8, 0], [0, 0, 10]]},
+        "power": [
+            {"rho": r, "n": 10, "top1": t, "wilson95": [0.3, 1.0]} for r, t in ((0.2, 0.9), (0.05, 0.6))
+        ],
+        "per_effect": [{"effect": "slack", "n": 20, "top1": 19, "smallest_rho": None}],
+        "calibration": {
+            "bins": [
+                {"from": 0.0, "to": 0.1, "n": 0, "mean_probability": 0.0, "fraction_true": 0.0},
+                {"from": 0.9, "to": 1.0, "n": 30, "mean_probability": 0.95, "fraction_true": 0.9},
+            ],
+            "ece": 0.043,
+            "set90_coverage": 0.9,
+            "set90_mean_size": 1.4,
+        },
+        "gap_closed": [0.9, 1.0, -3.0, 2.0],
+        "baselines": [{"name": "always <none>", "top1": 0.0, "false_alarm": 0.0}],
+        "time_s": {"median": 120.0, "max": 400.0},
+    } | changes
+
+
+def _suite(folder, score):
+    folder.mkdir(exist_ok=True)
+    write_json(folder / "score.json", score)
+    suite_page(score=folder / "score.json", out=folder / "suite.html")
+    return _parsed(folder / "suite.html")
+
+
+def test_suite_page_tells_targets_confusion_and_baselines(tmp_path):
+    text = _suite(tmp_path, _score()).text
+    assert "1 of 2 targets are met on 40 cases; missed: slowest." in text
+    assert "95.0 %" in text
+    assert "[80.0 %, 99.0 %]" in text
+    assert "always <none>" in text
+    assert "20.0 %" in text  # two of ten null cases were given a name
+    assert "19 (95 %)" in text
+    assert "made worse in 25.0 % of 4 cases" in text
+    assert PHANTOM_LABEL in text
+
+
+def test_suite_page_of_an_empty_score_says_what_is_missing(tmp_path):
+    none = {"bins": [], "ece": None, "set90_coverage": None, "set90_mean_size": None}
+    empty = {name: [] for name in ("targets", "power", "per_effect", "gap_closed", "baselines")}
+    score = _score(confusion={"labels": [], "counts": []}, calibration=none, phantom=False, **empty)
+    text = _suite(tmp_path, score).text
+    for what in (
+        "targets",
+        "baselines",
+        "matrix of confusion",
+        "power",
+        "bins of probability",
+        "shares of gap",
+    ):
+        assert f"This score has no {what}" in text
+    assert PHANTOM_LABEL not in text
+
+
+def test_suite_page_refuses_a_matrix_that_does_not_fit_its_labels(tmp_path):
+    with pytest.raises(InputError, match="one per label"):
+        _suite(tmp_path, _score(confusion={"labels": ["slack", "none"], "counts": [[1, 2]]}))

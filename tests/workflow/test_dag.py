@@ -47,7 +47,11 @@ def test_no_rule_reads_the_sealed_truth(project):
 def test_suite_of_cases_is_apart_from_the_study(project):
     assert not any(rule.startswith("suite") for rule in project.planned())
     kinds = ("suite_cases", "suite_diagnose")
-    rules = {f"{kind}_{shard}" for kind in kinds for shard in ("000", "001")} | {"score_diagnosis", "suite"}
+    rules = {f"{kind}_{shard}" for kind in kinds for shard in ("000", "001")} | {
+        "score_diagnosis",
+        "suite_page",
+        "suite",
+    }
     assert set(project.planned("suite")) == rules
     (project.folder / "config" / "suite-ci.yaml").unlink()
     assert project.planned()["all"] == 1

@@ -12,7 +12,8 @@ DIAGNOSED = [name for name in CALIBRATION if len(PEOPLE[name].trials_of("dynamic
 rule diagnosis:
     """The answer for everyone with two dynamic trials, and the table of all."""
     input:
-        expand("results/diagnosis/{subject}/diagnosis.json", subject=DIAGNOSED),
+        "results/diagnosis/diagnosis.csv",
+        expand("results/diagnosis/{subject}/diagnosis.html", subject=DIAGNOSED),
 
 
 rule diagnose:
@@ -49,3 +50,49 @@ rule diagnose:
         " --held-out {params.held_out:q} --neutral {params.neutral:q} --limits {input.limits:q} --step {input.step:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
         " 2>&1 | tee {log:q}"
+
+
+rule diagnosis_page:
+    """One page per person: where, which, how far, and the next trial."""
+    input:
+        answer="results/diagnosis/{subject}/diagnosis.json",
+        traces="results/diagnosis/{subject}/traces.parquet",
+    output:
+        "results/diagnosis/{subject}/diagnosis.html",
+    log:
+        "logs/diagnosis/{subject}_page.log",
+    benchmark:
+        "logs/benchmarks/diagnosis/{subject}_page.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("diagnosis-page"),
+    shell:
+        "python -m real2sim diagnosis-page --diagnosis {input.answer:q} --traces {input.traces:q} --out {output:q} 2>&1"
+        " | tee {log:q}"
+
+
+rule diagnosis_table:
+    """All answers of the cohort."""
+    input:
+        answers=expand("results/diagnosis/{subject}/diagnosis.json", subject=DIAGNOSED),
+    output:
+        "results/diagnosis/diagnosis.csv",
+    log:
+        "logs/diagnosis/table.log",
+    benchmark:
+        "logs/benchmarks/diagnosis/table.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("diagnosis-table"),
+    shell:
+        "python -m real2sim diagnosis-table --diagnoses {input.answers:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -104,7 +104,28 @@ if SUITE:
             "python -m real2sim suite-score --answers {input.answers:q} --truths {input.truths:q}"
             " --suite {params.suite} --out {output:q} 2>&1 | tee {log:q}"
 
+    rule suite_page:
+        """The score as a page."""
+        input:
+            f"results/suite/{SUITE['name']}/score.json",
+        output:
+            f"results/suite/{SUITE['name']}/score.html",
+        log:
+            f"logs/suite/{SUITE['name']}/page.log",
+        benchmark:
+            f"logs/benchmarks/suite/{SUITE['name']}/page.tsv"
+        conda:
+            "../envs/real2sim.yaml"
+        threads: 1
+        resources:
+            mem_mb=600,
+            runtime=10,
+        params:
+            code=code("suite-page"),
+        shell:
+            "python -m real2sim suite-page --score {input:q} --out {output:q} 2>&1 | tee {log:q}"
+
     rule suite:
         """Cases, answers and score of the diagnosis suite."""
         input:
-            f"results/suite/{SUITE['name']}/score.json",
+            f"results/suite/{SUITE['name']}/score.html",

@@ -1,0 +1,28 @@
+"""The diagnosis of a person of the miniature, from the real Snakefile."""
+
+from __future__ import annotations
+
+import json
+
+
+def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
+    assert not list(mini.folder.rglob("*sealed*"))
+    answer = mini.folder / "results" / "diagnosis" / "S01" / "diagnosis.json"
+    target = str(answer.relative_to(mini.folder))
+    mini.snakemake("--cores", "2", target)
+    first = answer.read_bytes()
+    content = json.loads(first)
+    assert content["phantom"] is True
+    assert content["train"] == ["dynamic_1"]
+    assert content["held_out"] == ["dynamic_2"]
+    assert abs(sum(content["probabilities"].values()) - 1) < 1e-9
+    assert content["verdict"] in content["probabilities"]
+    # skin over the pelvis is the effect that the phantom cohort is made with
+    assert content["probabilities"]["soft_tissue"] == max(content["probabilities"].values())
+    assert content["gap"]["J_with_effect"] < content["gap"]["J_base"]
+    page = answer.with_suffix(".html")
+    mini.snakemake("--cores", "2", "--forcerun", "diagnose", str(page.relative_to(mini.folder)))
+    assert answer.read_bytes() == first
+    text = page.read_text(encoding="utf-8")
+    assert "soft tissue" in text.replace("_", " ")
+    assert "PHANTOM" in text.upper()

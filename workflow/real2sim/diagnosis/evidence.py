@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 from scipy.fft import dct
+from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
@@ -373,19 +374,16 @@ def bridged_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
-    """SD (3,) [m] per marker of the white noise that quiet standing shows between 2 and 6 Hz.
+    """SD (3,) [m] per marker of the white noise that quiet standing shows between 3 and 7 Hz.
 
     Below, the person sways; above, nobody knows who has filtered the export already. ``markers`` is markers.parquet
-    of the neutral trial.
+    of the neutral trial. Welch's windows keep the sway from leaking upward.
     """
     table = pq.read_table(markers)
     out = {}
     for name in (*PELVIS_MARKERS, *INTERFACE_MARKERS):
         path = bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
-        n = len(path)
-        line = np.linspace(path[0], path[-1], n)
-        power = dct(path - line, axis=0, norm="ortho") ** 2
-        frequency = np.arange(n) * rate_hz / (2 * n)
-        inside = (frequency > 2) & (frequency < 6)
-        out[name] = np.sqrt(np.maximum(power[inside].mean(axis=0), SMALLEST_NOISE_M**2))
+        frequency, power = welch(path, rate_hz, nperseg=min(len(path), 256), axis=0, detrend="linear")
+        inside = (frequency > 3) & (frequency < 7)
+        out[name] = np.sqrt(np.maximum(power[inside].mean(axis=0) * rate_hz / 2, SMALLEST_NOISE_M**2))
     return out

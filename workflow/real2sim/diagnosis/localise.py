@@ -27,10 +27,10 @@ def _energy(evidence: Evidence, error: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _shares(values: dict[str, float]) -> dict[str, float]:
-    """Positive parts, normalised to 1; all equal where nothing is positive."""
+    """Positive parts, normalised to 1; all 0 where nothing stands out of the noise."""
     positive = {key: max(value, 0.0) for key, value in values.items()}
     total = sum(positive.values())
-    return {key: (v / total if total > 0 else 1 / len(values)) for key, v in positive.items()}
+    return {key: (v / total if total > 0 else 0.0) for key, v in positive.items()}
 
 
 def where(evidence: Evidence, paths: np.ndarray, noise: np.ndarray) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def where(evidence: Evidence, paths: np.ndarray, noise: np.ndarray) -> dict[str,
     noise
         Residuals (draws, n, 6) [m] of a perfect model.
 
-    Returns shares that add up to 1: ``sides``, ``terms``, ``world_axes``, ``times`` (equal spans), ``bands_hz`` and
+    Returns shares that add up to 1 (or are all 0 where J is at its floor): ``sides``, ``terms``, ``world_axes``, ``times`` (equal spans), ``bands_hz`` and
     ``regimes`` (amplitude by speed by phase of the pelvis' motion).
     """
     error = np.where(np.isfinite(evidence.trial.interface), paths - evidence.trial.interface, 0.0)

@@ -24,6 +24,8 @@ from real2sim.identification.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
 
 STAGE_OF = {effect.name: effect.stage for effect in EFFECTS}
+# Share of the floor below which J shows no gap that could be closed
+SMALLEST_GAP = 0.02
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
@@ -280,7 +282,10 @@ def _closed(
     saved = np.bincount(sample, weights=rows[0] ** 2 - rows[1] ** 2)
     rate = round(1 / float(evidence.trial.time_s[1] - evidence.trial.time_s[0]))
     low, high = block_bootstrap_mean(saved * len(saved), rate, 500, 0.95, 1)
-    gap = max(base - floor, 1e-12)
+    gap = base - floor
+    if gap < SMALLEST_GAP * floor:
+        # J cannot see the gap, though the whitened residuals may: a share of nothing is no number
+        return {"J_held_out": j, "gap_closed": None, "gap_closed_ci95": None}
     return {"J_held_out": j, "gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
 
 

@@ -414,7 +414,8 @@ def _cause_row(name: str, probability: float, cause: Mapping[str, Any] | None) -
     closed, j = cause.get("gap_closed"), cause.get("J_held_out")
     ci = cause.get("gap_closed_ci95")
     between = f"<br>[{percent(ci[0]).removesuffix(' %')}, {percent(ci[1]).removesuffix(' %')}]" if ci else ""
-    return [_titled(name, about), _probability(probability), percent(closed) + between, rounded(j, 4)]
+    share = _DASH if closed is None else percent(closed) + between
+    return [_titled(name, about), _probability(probability), share, rounded(j, 4)]
 
 
 def _stage(cause: Mapping[str, Any]) -> str:

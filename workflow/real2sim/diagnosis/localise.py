@@ -41,8 +41,8 @@ def where(evidence: Evidence, paths: np.ndarray, noise: np.ndarray) -> dict[str,
     noise
         Residuals (draws, n, 6) [m] of a perfect model.
 
-    Returns shares that add up to 1 (or are all 0 where J is at its floor): ``sides``, ``terms``, ``world_axes``, ``times`` (equal spans), ``bands_hz`` and
-    ``regimes`` (amplitude by speed by phase of the pelvis' motion).
+    Returns shares that add up to 1 (or are all 0 where J is at its floor): ``sides``, ``terms``, ``world_axes``,
+    ``times`` (equal spans), ``bands_hz`` and ``regimes`` (amplitude by speed by phase of the pelvis' motion).
     """
     error = np.where(np.isfinite(evidence.trial.interface), paths - evidence.trial.interface, 0.0)
     position, velocity = _energy(evidence, error)

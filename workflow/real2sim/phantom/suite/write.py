@@ -35,7 +35,7 @@ from real2sim.phantom.suite.measurement import (
 )
 from real2sim.phantom.suite.plan import EFFECTS, Case, case_names, cases, stream
 from real2sim.phantom.suite.setups import Setup, run, run_centres
-from real2sim.phantom.suite.severity import HELD_OUT, TRAIN, Fit, Refit, Search, perturbed, refit_of
+from real2sim.phantom.suite.severity import HELD_OUT, STEP_LN, TRAIN, Fit, Refit, Search, perturbed, refit_of
 
 RATE_HZ = 100.0
 TRIALS = ("neutral", TRAIN, HELD_OUT)
@@ -52,6 +52,7 @@ class _Cause:
     draw: Draw = field(default_factory=Draw)
     severity: float = 0.0
     rho: float = 0.0
+    moved: np.ndarray = field(default_factory=lambda: np.zeros(12))
     search: Search | None = None
     candidates: list[Draw] = field(default_factory=list)
 
@@ -95,7 +96,7 @@ def write_cases(
     begun = time.perf_counter()
     names = case_names(suite, shard)
     plan = [case for case in cases(suite) if case.id in set(names)]
-    print(f"{suite['name']} shard {shard}: {len(plan)} cases, about {4 * len(plan)} s", flush=True)
+    print(f"{suite['name']} shard {shard}: {len(plan)} cases, about {5 * len(plan)} s", flush=True)
 
     def say(what: str) -> None:
         print(f"  {time.perf_counter() - begun:5.1f} s  {what}", flush=True)
@@ -339,13 +340,17 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
         rng = stream(world.suite, p.case.id, cause.name, "draw")
         cause.candidates = [cause.form.draw(rng, _about(p)) for _ in range(options["candidates"])]
         trials += [(p, cause, draw, 1.0) for draw in cause.candidates]
-    reached = iter(_visibilities(world, trials))
+    fits = iter(_alone(world, trials))
     for p, cause in jobs:
-        found = [next(reached) for _ in cause.candidates]
+        tried = [next(fits) for _ in cause.candidates]
+        found = [fit.visibility() for fit in tried]
         # the first draw that can make the gap at all, else the one that comes nearest
         able = [i for i, rho in enumerate(found) if rho >= p.target]
         pick = able[0] if able else int(np.argmax(found))
-        cause.draw, cause.rho = cause.candidates[pick], found[pick]
+        cause.draw, cause.moved = cause.candidates[pick], tried[pick].moved
+        cause.rho = found[pick]
+    _settle(world, jobs, options)
+    say("severity: largest of each")
     for p in people:
         if p.causes:
             quieter = _quieten(p, min(c.rho for c in p.causes), world.suite["noise"]["low_m"])
@@ -353,24 +358,40 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
                 cause.search = Search(p.target, options["tolerance"])
                 cause.search.tell(1.0, cause.rho / quieter**2)
     for turn in range(options["rounds"]):
-        open_jobs = [(p, c) for p, c in jobs if c.search is not None and not c.search.done]
-        if not open_jobs:
+        left = [(p, c, c.search) for p, c in jobs if c.search is not None and not c.search.done]
+        if not left:
             break
-        asked = [(p, c, c.draw, c.search.ask()) for p, c in open_jobs if c.search is not None]
-        for (_, cause, _, severity), rho in zip(asked, _visibilities(world, asked), strict=True):
-            assert cause.search is not None
-            cause.search.tell(severity, rho)
-        say(f"severity, round {turn + 1}: {len(open_jobs)} open")
+        asked = [(p, c, c.draw, search.ask()) for p, c, search in left]
+        _again(world, asked)
+        for (_, cause, _, severity), (*_, search) in zip(asked, left, strict=True):
+            search.tell(severity, cause.rho)
+        say(f"severity, round {turn + 1}: {len(left)} open")
     for _, cause in jobs:
         assert cause.search is not None
         cause.severity, cause.rho = cause.search.best
     mixed = [p for p in people if len(p.causes) > 1]
-    together = _gaps(world, mixed, [_applied(p) for p in mixed]) if mixed else []
+    starts = [p.causes[0].moved for p in mixed]
+    together = _gaps(world, mixed, [_applied(p) for p in mixed], starts) if mixed else []
     for p in people:
         if p.causes:
             p.rho = p.causes[0].rho
-    for p, rho in zip(mixed, together, strict=True):
-        p.rho = rho
+    for p, fit in zip(mixed, together, strict=True):
+        p.rho = fit.visibility()
+
+
+def _settle(world: _World, jobs: list[tuple[_Synthetic, _Cause]], options: dict[str, Any]) -> None:
+    """Refit to each cause at its largest until its gap stays where it is; where it is ample, nothing hangs on it."""
+    jobs = [(p, cause) for p, cause in jobs if cause.rho < 5 * p.target]
+    for _ in range(options["rounds"]):
+        if not jobs:
+            return
+        before = [cause.rho for _, cause in jobs]
+        _again(world, [(p, cause, cause.draw, 1.0) for p, cause in jobs])
+        jobs = [
+            job
+            for job, old in zip(jobs, before, strict=True)
+            if np.isfinite(job[1].rho) and abs(np.log(job[1].rho / old)) > options["tolerance"]
+        ]
 
 
 def _quieten(p: _Synthetic, most: float, lowest_m: float) -> float:
@@ -392,17 +413,32 @@ def _about(p: _Synthetic) -> Context:
     return p.about
 
 
-def _visibilities(world: _World, asked: list[tuple[_Synthetic, _Cause, Draw, float]]) -> list[float]:
-    """Gap rho of each cause alone, at a severity."""
+_Asked = list[tuple[_Synthetic, _Cause, Draw, float]]
+
+
+def _alone(world: _World, asked: _Asked, starts: list[np.ndarray] | None = None) -> list[Fit]:
+    """Refit of the base to each cause alone, at a severity."""
     effects = [[(c.form, c.form.values(draw, s, _about(p)))] for p, c, draw, s in asked]
-    return _gaps(world, [p for p, *_ in asked], effects)
+    return _gaps(world, [p for p, *_ in asked], effects, starts)
+
+
+def _again(world: _World, asked: _Asked) -> None:
+    """Refit from where the cause's last refit ended, with tangents of that place; the cause keeps what it finds."""
+    fits = _alone(world, asked, [cause.moved for _, cause, _, _ in asked])
+    for (_, cause, _, _), fit in zip(asked, fits, strict=True):
+        cause.moved, cause.rho = fit.moved, fit.visibility()
 
 
 Applied = list[tuple[Form, dict[str, Any]]]
 
 
-def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> list[float]:
-    """Gap rho of each person under some effects, by coarse simulations."""
+def _gaps(
+    world: _World, people: list[_Synthetic], effects: list[Applied], starts: list[np.ndarray] | None = None
+) -> list[Fit]:
+    """Refit of the base to each person under some effects, by coarse simulations.
+
+    ``starts`` (12,) each: where a refit begins, if that is better than at the true parameters.
+    """
     true_setups: dict[tuple[int, str], Setup] = {}
     model_setups: dict[tuple[int, str], Setup] = {}
     pairs = [(i, trial) for i in range(len(people)) for trial in (TRAIN, HELD_OUT)]
@@ -421,9 +457,11 @@ def _gaps(world: _World, people: list[_Synthetic], effects: list[Applied]) -> li
                 world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
             )
     fits = _fits(world, people, recorded, model_setups)
+    if starts is not None:
+        _start(world, people, recorded, model_setups, fits, starts)
     for _ in range(world.suite["severity"]["refits"]):
         _refit(world, people, recorded, model_setups, fits)
-    return [fit.visibility() for fit in fits]
+    return fits
 
 
 def _fits(world: _World, people, recorded, model_setups) -> list[Fit]:
@@ -449,6 +487,25 @@ def _fits(world: _World, people, recorded, model_setups) -> list[Fit]:
 def _left(p: _Synthetic, recorded: Recording, replayed: np.ndarray) -> np.ndarray:
     n = _samples(p)
     return residual(recorded.interface(np.arange(n) / RATE_HZ) - replayed[:n], RATE_HZ)
+
+
+def _start(world: _World, people, recorded, model_setups, fits: list[Fit], starts: list[np.ndarray]) -> None:
+    """Let refits begin elsewhere, with the tangents of that place."""
+    chosen = [i for i, fit in enumerate(fits) if fit.usable and starts[i].any()]
+    setups = []
+    for i in chosen:
+        for trial in (TRAIN, HELD_OUT):
+            plain = model_setups.get((i, trial)) or _setup(people[i], trial)
+            factor = np.exp(starts[i])
+            stiffness, damping = plain.stiffness * factor[:6], plain.damping * factor[6:]
+            setups.append(replace(plain, stiffness=stiffness, damping=damping))
+            if trial == TRAIN:
+                setups += [replace(plain, stiffness=k, damping=d) for k, d in perturbed(stiffness, damping)]
+    done = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))
+    for i in chosen:
+        train, *others = (_left(people[i], recorded[i, TRAIN], next(done)) for _ in range(13))
+        tangent = np.column_stack([(train - other) / STEP_LN for other in others])
+        fits[i].start(starts[i], train, _left(people[i], recorded[i, HELD_OUT], next(done)), tangent)
 
 
 def _refit(world: _World, people, recorded, model_setups, fits: list[Fit]) -> None:

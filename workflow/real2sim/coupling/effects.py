@@ -781,6 +781,20 @@ EFFECTS: tuple[Effect, ...] = (
         replaces_spring=True,
     ),
     Effect(
+        "asymmetric_stiffness",
+        "interface",
+        "F = k q + b q^2",
+        (
+            EffectParameter(
+                "quadratic", "N/m2|Nm/rad2", -0.6, 0.6, (-0.2, 0.2), lambda s, i: float(s.k[i] / s.q[i])
+            ),
+        ),
+        "asymmetry",
+        _LADDER,
+        plant=Polynomial("jnt_stiffnesspoly", 0),
+        form="_quadratic",
+    ),
+    Effect(
         "coulomb",
         "interface",
         "F = Fc sgn(qdot)",

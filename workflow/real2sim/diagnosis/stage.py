@@ -185,6 +185,7 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
         }
         | where(held_out, paths["plain"], noise),
         "causes": ranked,
+        "considered": _considered(attribution, decision),
         "probabilities": decision.probabilities,
         "verdict": decision.verdict,
         "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
@@ -196,6 +197,20 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
             for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
         },
     }
+
+
+def _considered(attribution: Attribution, decision: Decision) -> list[dict[str, Any]]:
+    """Every set of effects that was refitted, places and all, and what it leaves of chi-squared on both trials."""
+    return [
+        {
+            "effects": list(h.names),
+            "places": [placed.key for placed in h.effects],
+            "parameters": len(h.z) - 12,
+            "chi2": list(h.chi2),
+            "probability": float(probability),
+        }
+        for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
+    ]
 
 
 def _baselines(attribution: Attribution) -> dict[str, str]:

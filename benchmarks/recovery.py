@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim.configuration import read_yaml, validated
-from real2sim.identification.fit import best_of, fit_restart
+from real2sim.identification.fit import best_of, fit_trial
 from real2sim.identification.parameters import PARAMETERS, as_vector
 from real2sim.identification.step_study import step_study
 from real2sim.ingest import ingest_subject
@@ -91,13 +91,14 @@ def prepare(folder: Path, subject: str, noise_mm: float, config: dict) -> None:
     )
 
 
-def _fit(job: tuple[Path, str, str, int, dict]) -> dict:
-    folder, subject, trial, restart, config = job
-    out = folder / "fits" / subject / trial / f"restart-{restart}.json"
-    fit_restart(
+def _fit(job: tuple[Path, str, str, dict]) -> list[dict]:
+    folder, subject, trial, config = job
+    restarts = list(range(1, config["identification"]["restarts"] + 1))
+    out = [folder / "fits" / subject / trial / f"restart-{restart}.json" for restart in restarts]
+    fit_trial(
         subject=subject,
         trial=trial,
-        restart=restart,
+        restarts=restarts,
         pose=folder / "trials" / subject / trial / "pose.parquet",
         markers=folder / "trials" / subject / trial / "markers.parquet",
         limits=folder / "limits" / f"{subject}.json",
@@ -106,7 +107,7 @@ def _fit(job: tuple[Path, str, str, int, dict]) -> dict:
         settings={key: config[key] for key in ("identification", "plant", "robot")},
         out=out,
     )
-    return json.loads(out.read_text())
+    return [json.loads(path.read_text()) for path in out]
 
 
 def recover(
@@ -116,9 +117,8 @@ def recover(
     with ProcessPoolExecutor(workers) as pool:
         n = len(subjects)
         list(pool.map(prepare, [folder] * n, subjects, [noise_mm] * n, [config] * n))
-        restarts = range(1, config["identification"]["restarts"] + 1)
-        jobs = [(folder, s, t, r, config) for s in subjects for t in trials for r in restarts]
-        fits = list(pool.map(_fit, jobs))
+        jobs = [(folder, s, t, config) for s in subjects for t in trials]
+        fits = [fit for own in pool.map(_fit, jobs) for fit in own]
     rows = []
     for subject in subjects:
         sealed = json.loads((folder / "sealed" / f"{subject}.json").read_text())

@@ -17,7 +17,7 @@ from real2sim.identification.assessment import (
     robot_sensitivity,
     with_pelvis_noise,
 )
-from real2sim.identification.fit import fit_restart
+from real2sim.identification.fit import fit_trial
 from real2sim.identification.identifiability import central_jacobian
 from real2sim.identification.least_squares import Residuals, minimise
 from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector
@@ -198,7 +198,7 @@ def test_table_names_the_constant_that_matters_most(assessed, tmp_path):
         assert row["ci95_high"] == ("" if high is None else repr(high))
 
 
-def test_fit_is_the_same_bytes_with_one_thread_and_two(trial, tmp_path):
+def test_fit_is_the_same_bytes_with_one_thread_and_two_alone_and_beside_another(trial, tmp_path):
     settings = {key: CONFIG[key] for key in ("identification", "plant", "robot")}
     settings["identification"] = settings["identification"] | {"evaluations": 33}
     for method in ("cma", "least_squares"):
@@ -207,19 +207,20 @@ def test_fit_is_the_same_bytes_with_one_thread_and_two(trial, tmp_path):
             "least_squares": {"screen": 13, "iterations": 2, "ftol": 1e-6},
         }
         files = []
-        for threads in (1, 2):
-            files.append(tmp_path / f"{method}-{threads}.json")
-            fit_restart(
+        for threads, restarts in ((1, [1]), (2, [2, 1])):
+            out = [tmp_path / f"{method}-{threads}-{restart}.json" for restart in restarts]
+            files.append(out[-1])
+            fit_trial(
                 subject="S02",
                 trial="dynamic_1",
-                restart=1,
+                restarts=restarts,
                 pose=trial.pose,
                 markers=trial.markers,
                 limits=trial.limits,
                 step=trial.step,
                 robot=ROBOT,
                 settings=settings,
-                out=files[-1],
+                out=out,
                 threads=threads,
             )
         assert files[0].read_bytes() == files[1].read_bytes()

@@ -77,9 +77,9 @@ def _search(**changes):
         "evaluations": 1200,
         "tolfun": 1e-6,
         "diagonal_iterations": 80,
-        "seed": 3,
+        "seeds": [3],
     }
-    return search(_bowl, BOUNDS, **(options | changes))
+    return search(_bowl, BOUNDS, **(options | changes))[0]
 
 
 def test_search_finds_the_minimum_within_the_budget():
@@ -99,10 +99,25 @@ def test_search_history_is_complete_and_never_rises():
 
 
 def test_search_is_reproducible_by_seed_alone():
-    one, two, other = _search(evaluations=110), _search(evaluations=110), _search(evaluations=110, seed=4)
+    one, two, other = _search(evaluations=110), _search(evaluations=110), _search(evaluations=110, seeds=[4])
     assert np.array_equal(one.parameters, two.parameters)
     assert one.history == two.history
     assert not np.array_equal(one.start, other.start)
+
+
+def test_searches_side_by_side_are_those_that_run_alone():
+    options = {
+        "population": 11,
+        "sigma0": 1.22,
+        "evaluations": 330,
+        "tolfun": 1e-6,
+        "diagonal_iterations": 10,
+    }
+    together = search(_bowl, BOUNDS, seeds=[3, 4, 5], **options)
+    for seed, result in zip((3, 4, 5), together, strict=True):
+        alone = search(_bowl, BOUNDS, seeds=[seed], **options)[0]
+        assert np.array_equal(alone.parameters, result.parameters)
+        assert alone.history == result.history
 
 
 def test_search_stays_within_bounds():
@@ -115,8 +130,8 @@ def test_search_stays_within_bounds():
         evaluations=2000,
         tolfun=1e-12,
         diagonal_iterations=0,
-        seed=1,
-    )
+        seeds=[1],
+    )[0]
     assert (result.parameters >= tight.lower * (1 - 1e-9)).all()
     assert set(tight.at_bound(result.parameters, 0.02)) == set(PARAMETERS)
 

@@ -14,7 +14,7 @@ from real2sim.figures.index import index_page
 from real2sim.figures.style import new_figure
 from real2sim.figures.tables import cross_trial_table, priors_table
 from real2sim.identification.assessment import assessment, assessment_table
-from real2sim.identification.fit import fit_restart
+from real2sim.identification.fit import fit_trial
 from real2sim.identification.noise_floor import noise_floor
 from real2sim.identification.transfer import cross_trial, loso_subject
 from real2sim.ingest import ingest_subject
@@ -83,10 +83,10 @@ def _slices(*names: str) -> dict:
 
 
 def _fit(study: Path, trial: str, gates: list[Path], out: Path) -> None:
-    fit_restart(
+    fit_trial(
         subject="S01",
         trial=trial,
-        restart=1,
+        restarts=[1],
         pose=study / "trials" / trial / "pose.parquet",
         markers=study / "trials" / trial / "markers.parquet",
         limits=study / "limits.json",
@@ -94,7 +94,7 @@ def _fit(study: Path, trial: str, gates: list[Path], out: Path) -> None:
         gates=gates,
         robot=ROBOT,
         settings=_slices("identification", "plant", "robot"),
-        out=out,
+        out=[out],
     )
 
 

@@ -58,7 +58,7 @@ def test_comment_or_docstring_in_the_library_runs_nothing(mini, old, new):
 def test_changed_constant_in_the_cost_runs_all_fits_and_what_follows(mini):
     mini.edit("workflow/real2sim/identification/cost.py", "FAILED_COST = 1e6", "FAILED_COST = 2e6")
     planned = mini.planned()
-    assert planned["fit"] == 2 * 2 * 2
+    assert planned["fit"] == 2 * 2
     assert planned["cross_trial"] == 2
     assert not [rule for rule in planned if rule.startswith(("ingest", "tightness_sweep", "joint_limits"))]
     assert set(planned) <= AGGREGATION | {"step_study", "fit", "assessment", "noise_floor", "cross_trial"}
@@ -66,7 +66,7 @@ def test_changed_constant_in_the_cost_runs_all_fits_and_what_follows(mini):
 
 def test_changed_setting_of_the_search_runs_all_fits(mini):
     mini.configure(identification={"sigma0": 1.0})
-    assert mini.planned()["fit"] == 2 * 2 * 2
+    assert mini.planned()["fit"] == 2 * 2
 
 
 def test_changed_colour_runs_only_figures(mini):
@@ -79,7 +79,7 @@ def test_changed_colour_runs_only_figures(mini):
 def test_new_person_runs_only_their_jobs_and_the_aggregation(mini, mini_raw):
     shutil.copytree(mini_raw / "S03", mini.folder / "resources" / "subjects" / "S03")
     planned = mini.planned()
-    assert planned["fit"] == 2 * 2
+    assert planned["fit"] == 2
     assert planned["cross_trial"] == 1
     assert planned["joint_limits"] == 1
     assert planned["tightness_sweep"] == 1
@@ -106,7 +106,7 @@ def test_changed_raw_trial_fits_that_person_only(mini):
     raw.write_text(text.replace("DESCRIPTION\t", "DESCRIPTION\tedited ", 1))
     planned = mini.planned()
     assert [rule for rule in planned if rule.startswith("ingest")] == ["ingest_S01"]
-    assert planned["fit"] == 4, "the person's own four fits and nobody else's"
+    assert planned["fit"] == 2, "the person's own two trials and nobody else's"
 
 
 def test_gates_that_end_in_the_same_verdicts_fit_nothing(mini):
@@ -131,4 +131,4 @@ def test_gates_that_end_in_another_verdict_fit_that_trial_again(mini):
     verdict = mini.folder / "results/quality/S01/dynamic_1.json"
     content = json.loads(verdict.read_text())
     verdict.write_text(json.dumps(content | {"warned": [*content["warned"], "edited"]}))
-    assert mini.planned()["fit"] == 2
+    assert mini.planned()["fit"] == 1

@@ -31,7 +31,7 @@ COMMANDS = {
     "tightness-cohort": "real2sim.tightness:tightness_cohort",
     "joint-limits": "real2sim.limits:joint_limits",
     "step-study": "real2sim.identification.step_study:step_study",
-    "fit": "real2sim.identification.fit:fit_restart",
+    "fit": "real2sim.identification.fit:fit_trial",
     "assessment": "real2sim.identification.assessment:assessment",
     "assessment-table": "real2sim.identification.assessment:assessment_table",
     "noise-floor": "real2sim.identification.noise_floor:noise_floor",

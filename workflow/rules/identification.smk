@@ -4,8 +4,8 @@ Inputs:  canonical tables of the dynamic trials, joint limits, the robot twin.
 Outputs: results/plant/<SUBJECT>.json, results/fits/<SUBJECT>/<TRIAL>/restart-<N>.json,
          results/identifiability/<SUBJECT>/<TRIAL>.json, results/noise_floor/<SUBJECT>.json,
          results/cross_trial/<SUBJECT>.json.
-Steps:   choose the time step; one job per restart, so that an interrupted study keeps every finished one; verdict per
-         parameter; noise floor of J; cross-trial replay.
+Steps:   choose the time step; one job per trial, whose restarts are simulated in one batch and kept in a file each;
+         verdict per parameter; noise floor of J; cross-trial replay.
 """
 
 
@@ -40,7 +40,7 @@ rule step_study:
 
 
 rule fit:
-    """One CMA-ES restart on one dynamic trial."""
+    """All CMA-ES restarts on one dynamic trial."""
     input:
         pose="results/trials/{subject}/{trial}/pose.parquet",
         markers="results/trials/{subject}/{trial}/markers.parquet",
@@ -50,11 +50,11 @@ rule fit:
         robot=ROBOT,
         lock="environment-lock.txt",
     output:
-        "results/fits/{subject}/{trial}/restart-{restart}.json",
+        expand("results/fits/{{subject}}/{{trial}}/restart-{restart}.json", restart=RESTARTS),
     log:
-        "logs/fits/{subject}/{trial}/restart-{restart}.log",
+        "logs/fits/{subject}/{trial}.log",
     benchmark:
-        "logs/benchmarks/fits/{subject}/{trial}/restart-{restart}.tsv"
+        "logs/benchmarks/fits/{subject}/{trial}.tsv"
     conda:
         "../envs/real2sim.yaml"
     threads: 1
@@ -62,10 +62,11 @@ rule fit:
         mem_mb=600,
         runtime=30,
     params:
+        restarts=list(RESTARTS),
         settings=FIT_SETTINGS,
         code=code("fit"),
     shell:
-        "python -m real2sim fit --subject {wildcards.subject} --trial {wildcards.trial} --restart {wildcards.restart}"
+        "python -m real2sim fit --subject {wildcards.subject} --trial {wildcards.trial} --restarts {params.restarts}"
         " --pose {input.pose:q} --markers {input.markers:q} --limits {input.limits:q} --step {input.step:q}"
         " --gates {input.gates:q} --robot {input.robot:q} --settings {params.settings:q} --threads {threads}"
         " --out {output:q} 2>&1 | tee {log:q}"

@@ -1,4 +1,4 @@
-"""One restart of the identification of one trial, from tables to a cached file."""
+"""The identification of one trial, all restarts side by side, from tables to a cached file per restart."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from real2sim.quality.verdict import require
 _PACKAGES = ["mujoco", "cma", "numpy", "scipy"]
 # A point and its 12 neighbours: one Jacobian by finite differences
 BATCH = 13
+# Replays in memory at once; more restarts take turns
+LARGEST_BATCH = 66
 
 
 def restart_seed(seed: int, subject: str, trial: str, restart: int) -> int:
@@ -52,50 +54,64 @@ class _Progress:
 
 
 def _search(
-    model: TrialModel, bounds: Bounds, ident: dict, seed: int, progress: Callable[[int, float], None]
-) -> SearchResult:
-    """The search that the configuration asks for."""
-    if ident["method"] == "least_squares":
-        return least_squares.search(
-            lambda parameters: model.cost.residuals(model.replay.run(parameters)),
+    model: TrialModel, bounds: Bounds, ident: dict, seeds: list[int], progress: Callable[[int, float], None]
+) -> list[SearchResult]:
+    """The searches that the configuration asks for, one per seed."""
+    if ident["method"] == "cma":
+        return cmaes.search(
+            model.costs,
             bounds,
-            batch=BATCH,
-            seed=seed,
+            population=ident["population"],
+            sigma0=ident["sigma0"],
+            evaluations=ident["evaluations"],
+            tolfun=ident["tolfun"],
+            diagonal_iterations=ident["diagonal_iterations"],
+            seeds=seeds,
             progress=progress,
-            **ident["least_squares"],
         )
-    return cmaes.search(
-        lambda parameters: model.cost(model.replay.run(parameters)).total,
-        bounds,
-        population=ident["population"],
-        sigma0=ident["sigma0"],
-        evaluations=ident["evaluations"],
-        tolfun=ident["tolfun"],
-        diagonal_iterations=ident["diagonal_iterations"],
-        seed=seed,
-        progress=progress,
-    )
+    results: list[SearchResult] = []
+    for seed in seeds:
+        before = sum(result.evaluations for result in results)
+
+        def counted(done: int, best: float, before: int = before) -> None:
+            progress(before + done, best)
+
+        results.append(
+            least_squares.search(
+                lambda parameters: model.cost.residuals(model.replay.run(parameters)),
+                bounds,
+                batch=BATCH,
+                seed=seed,
+                progress=counted,
+                **ident["least_squares"],
+            )
+        )
+    return results
 
 
-def fit_restart(
+def fit_trial(
     *,
     subject: str,
     trial: str,
-    restart: int,
+    restarts: list[int],
     pose: Path,
     markers: Path,
     limits: Path,
     step: Path,
     robot: Path,
     settings: dict,
-    out: Path,
+    out: list[Path],
     gates: list[Path] | None = None,
     threads: int = 1,
 ) -> None:
-    """Identify the 12 interface parameters of one trial from one log-uniform start (paper, section III-B).
+    """Identify the 12 interface parameters of one trial from log-uniform starts (paper, section III-B).
+
+    The generations of all restarts are simulated in one batch.
 
     Parameters
     ----------
+    restarts
+        Numbers of the restarts; a restart's result does not depend on which others run beside it.
     pose, markers, limits, step, robot
         Canonical tables of the trial, joint limits and step study of the person, MJCF of the robot twin.
     settings
@@ -104,9 +120,9 @@ def fit_restart(
         Verdicts on the trial and on those that the fit rests on (`quality.verdict.require`); None where the caller
         vouches for them, as benchmarks do.
     threads
-        That the replays may use. The file is the same bytes with any number.
+        That the replays may use. The files are the same bytes with any number.
     out
-        JSON with parameters [SI], cost and its terms, history, replay check, settings and provenance.
+        JSON of each restart: parameters [SI], cost and its terms, history, replay check, settings and provenance.
 
     Raises
     ------
@@ -117,8 +133,8 @@ def fit_restart(
     settings = with_step(settings, step)
     ident = settings["identification"]
     bounds = Bounds.from_config(ident["bounds"])
-    seed = restart_seed(ident["seed"], subject, trial, restart)
-    batch = ident["population"] if ident["method"] == "cma" else BATCH
+    seeds = [restart_seed(ident["seed"], subject, trial, restart) for restart in restarts]
+    batch = min(LARGEST_BATCH, ident["population"] * len(restarts)) if ident["method"] == "cma" else BATCH
     model = trial_model(
         pose=pose,
         markers=markers,
@@ -129,8 +145,30 @@ def fit_restart(
         threads=threads,
     )
     model.replay.check_bounds(bounds.upper[6:])
-    label = f"{subject} {trial} restart {restart}"
-    result = _search(model, bounds, ident, seed, _Progress(label, ident["evaluations"]))
+    label = f"{subject} {trial}, {len(restarts)} restarts" if len(restarts) > 1 else f"{subject} {trial}"
+    progress = _Progress(label, ident["evaluations"] * len(restarts))
+    results = _search(model, bounds, ident, seeds, progress)
+    source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
+    records = [
+        {
+            "schema": 1,
+            "subject": subject,
+            "trial": trial,
+            "restart": restart,
+            "method": ident["method"],
+            "phantom": model.trial.phantom,
+            "overridden_gates": overridden,
+        }
+        | _outcome(model, result, bounds, settings, pose)
+        | {"seed": seed, "settings": settings, "provenance": source}
+        for restart, seed, result in zip(restarts, seeds, results, strict=True)
+    ]
+    for path, record in zip(out, records, strict=True):
+        write_json(path, record)
+
+
+def _outcome(model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict, pose: Path) -> dict:
+    """What a search found, with its replay checked."""
     paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])
     check = replay_check(model.replay, pelvis[0])
     bar = settings["plant"]["replay_bar"]
@@ -143,35 +181,22 @@ def fit_restart(
             "Lower plant.timestep_s, and look for jumps in the pelvis markers.",
         )
     terms = model.cost(paths)
-    write_json(
-        out,
-        {
-            "schema": 1,
-            "subject": subject,
-            "trial": trial,
-            "restart": restart,
-            "method": ident["method"],
-            "phantom": model.trial.phantom,
-            "overridden_gates": overridden,
-            "parameters": as_dict(result.parameters),
-            "cost": {
-                "J": float(terms.total[0]),
-                "J_position": float(terms.position[0]),
-                "J_velocity": float(terms.velocity[0]),
-                "rmse_position_m": float(terms.rmse_position[0]),
-                "samples": model.cost.samples,
-            },
-            "at_bound": bounds.at_bound(result.parameters, ident["at_bound_ln"]),
-            "start": as_dict(result.start),
-            "seed": seed,
-            "evaluations": result.evaluations,
-            "stop": result.stop,
-            "history": result.history,
-            "replay": check,
-            "settings": settings,
-            "provenance": provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__)),
+    return {
+        "parameters": as_dict(result.parameters),
+        "cost": {
+            "J": float(terms.total[0]),
+            "J_position": float(terms.position[0]),
+            "J_velocity": float(terms.velocity[0]),
+            "rmse_position_m": float(terms.rmse_position[0]),
+            "samples": model.cost.samples,
         },
-    )
+        "at_bound": bounds.at_bound(result.parameters, settings["identification"]["at_bound_ln"]),
+        "start": as_dict(result.start),
+        "evaluations": result.evaluations,
+        "stop": result.stop,
+        "history": result.history,
+        "replay": check,
+    }
 
 
 def best_of(fits: list[dict]) -> dict:

@@ -122,6 +122,12 @@ class TrialModel:
     cost: TrialCost
     limits: JointLimits | None
 
+    def costs(self, parameters: np.ndarray) -> np.ndarray:
+        """J (m,) of parameters (m, 12), as many at once as the replay holds."""
+        n = self.replay.nsim
+        parts = [parameters[i : i + n] for i in range(0, len(parameters), n)]
+        return np.concatenate([self.cost(self.replay.run(part)).total for part in parts])
+
 
 def replay_of(
     trial: Trial,

@@ -72,6 +72,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "schema": 1,
         "subject": "S01",
         "phantom": phantom,
+        "refused_gates": {},
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
         "noise_floor": {
@@ -179,6 +180,12 @@ def test_page_of_no_cause_claims_none(tmp_path, causes):
     assert "none is needed to tell causes apart" in text
     assert "causes the gap" not in text
     assert "With effect" not in text
+
+
+def test_page_names_the_gates_that_refuse_what_it_rests_on(tmp_path):
+    text = _page(tmp_path, _diagnosis(refused_gates={"S01/dynamic_2": ["spikes", "rate"]})).text
+    assert "S01/dynamic_2 is refused by its gates (spikes, rate)" in text
+    assert "refused by its gates" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):

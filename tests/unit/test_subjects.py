@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from real2sim.errors import InputError
-from real2sim.subjects import discover, parse_trial, read_subject
+from real2sim.subjects import discover, parse_trial, read_subject, require_operating_point
 
 VALUES = {
     "id": "S01",
@@ -199,17 +199,24 @@ def test_subject_without_yaml(tmp_path):
     assert "no subject.yaml" in refusal(tmp_path)
 
 
-def test_a_case_of_the_diagnosis_suite_has_no_sweeps(tmp_path):
-    folder = person(tmp_path, trials=("neutral", "dynamic_1"))
-    assert set(read_subject(folder, sweeps=False).trials) == {"neutral", "dynamic_1"}
+def test_a_person_without_sweeps_is_read_and_has_no_limits(tmp_path):
+    one = read_subject(person(tmp_path, trials=("neutral", "dynamic_1")))
+    assert set(one.trials) == {"neutral", "dynamic_1"}
+    assert not one.has_limits
     with pytest.raises(InputError, match="no trial rotation_T08"):
-        read_subject(folder)
+        require_operating_point(one)
 
 
-@pytest.mark.parametrize("missing", ["neutral", "rotation_T08", "translation_T08"])
+@pytest.mark.parametrize("missing", ["rotation_T08", "translation_T08"])
 def test_trials_without_which_there_are_no_limits(tmp_path, missing):
-    person(tmp_path, trials=[t for t in TRIALS if t != missing])
-    assert f"no trial {missing}" in refusal(tmp_path)
+    one = read_subject(person(tmp_path, trials=[t for t in TRIALS if t != missing]))
+    with pytest.raises(InputError, match=f"no trial {missing}"):
+        require_operating_point(one)
+
+
+def test_trial_without_which_there_is_no_rest_pose(tmp_path):
+    person(tmp_path, trials=[t for t in TRIALS if t != "neutral"])
+    assert "no trial neutral" in refusal(tmp_path)
 
 
 def test_folders_that_are_no_subjects(tmp_path):

@@ -453,7 +453,6 @@ def test_files_are_those_planned_the_same_twice_and_can_be_ingested(written, tmp
             settings=study["ingest"],
             raw=[],
             out=tmp_path / name,
-            sweeps=False,
         )
         assert (tmp_path / name / "dynamic_2" / "pose.parquet").exists()
 

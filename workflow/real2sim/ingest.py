@@ -734,16 +734,13 @@ def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: d
         )
 
 
-def ingest_subject(
-    *, subject: str, folder: Path, settings: dict, raw: list[Path], out: Path, sweeps: bool = True
-) -> None:
+def ingest_subject(*, subject: str, folder: Path, settings: dict, raw: list[Path], out: Path) -> None:
     """All trials of one person: ``<out>/<TRIAL>/{markers,pose,joints,robot}.parquet, quality.json``.
 
     ``neutral`` comes first, for the rest pose. ``raw`` lists the person's files as the workflow saw them; the
-    trials that `subject.yaml` excludes are left out. ``sweeps``: whether rotation and translation at T* have to be
-    there, as in a study. Raises InputError where a file cannot be used.
+    trials that `subject.yaml` excludes are left out. Raises InputError where a file cannot be used.
     """
-    person = read_subject(folder, sweeps)
+    person = read_subject(folder)
     _check_files(person.trials, folder, raw)
     neutral = out / "neutral" / "quality.json"
     for trial in sorted(person.trials, key=lambda name: (name != "neutral", name)):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,17 @@ class Subject:
     folder: Path = Path()
     phantom: bool = False
 
+    @property
+    def operating_point(self) -> tuple[str, str]:
+        """Names of the rotation and the translation trial at T*, whether they were recorded or not."""
+        level = int(self.tightness["safe_comfortable_cm"])
+        return f"rotation_T{level:02d}", f"translation_T{level:02d}"
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether both sweeps at T* were recorded, so that the joint limits are known."""
+        return set(self.operating_point) <= set(self.trials)
+
     def trials_of(self, *kinds: str) -> list[str]:
         """Names of the trials of some kinds, ordered by kind and number."""
         keyed = [(parse_trial(name), name) for name in self.trials]
@@ -123,10 +135,10 @@ def discover(root: Path) -> dict[str, Subject]:
     return subjects
 
 
-def read_subject(folder: Path, sweeps: bool = True) -> Subject:
-    """One subject's folder, checked as `discover` does; without ``sweeps`` no trials at T* are asked for."""
+def read_subject(folder: Path) -> Subject:
+    """One subject's folder, checked as `discover` does."""
     folder = Path(folder)
-    return _subject(folder, subject_values(folder), sweeps)
+    return _subject(folder, subject_values(folder))
 
 
 # -------------------- subject.yaml
@@ -169,7 +181,7 @@ def _check_tightness(path: Path, tightness: dict[str, int]) -> None:
 # -------------------- trials
 
 
-def _subject(folder: Path, values: dict[str, Any], sweeps: bool = True) -> Subject:
+def _subject(folder: Path, values: dict[str, Any]) -> Subject:
     exclude = {str(k): v for k, v in values["exclude"].items()}
     files = _files(folder)
     for name in exclude:
@@ -179,8 +191,7 @@ def _subject(folder: Path, values: dict[str, Any], sweeps: bool = True) -> Subje
             raise InputError(folder / SUBJECT_FILE, "key exclude", name, expected, remedy, "excluded_trial")
     trials = {name: _trial(folder, name, kinds) for name, kinds in files.items() if name not in exclude}
     _check_levels(folder, list(trials), values["tightness"])
-    own_level = values["tightness"]["safe_comfortable_cm"]
-    _check_required(folder, trials, exclude, own_level if sweeps else None)
+    _require(folder, trials, exclude, {"neutral": "the rest pose of the interface"})
     rest = {k: v for k, v in values.items() if k not in ("exclude", "markers")}
     return Subject(**rest, markers=dict(values["markers"]), exclude=exclude, trials=trials, folder=folder)
 
@@ -237,15 +248,19 @@ def _check_levels(folder: Path, trials: list[str], tightness: dict[str, int]) ->
             )
 
 
-def _check_required(
-    folder: Path, trials: dict[str, TrialFiles], exclude: dict[str, str], own_level: int | None
+def require_operating_point(person: Subject) -> None:
+    """Raise InputError where a person lacks the sweeps at T*, without which the joint limits are not known."""
+    needed = dict.fromkeys(person.operating_point, "the joint limits at T*")
+    _require(person.folder, person.trials, person.exclude, needed)
+
+
+def _require(
+    folder: Path, trials: Mapping[str, TrialFiles], exclude: Mapping[str, str], needed: Mapping[str, str]
 ) -> None:
-    needed = {"neutral": "the rest pose of the interface"}
-    if own_level is not None:
-        needed[f"rotation_T{own_level:02d}"] = "the joint limits at T*"
-        needed[f"translation_T{own_level:02d}"] = "the joint limits at T*"
     for name, purpose in needed.items():
         if name not in trials:
             found = f"no trial {name}" + (f" (excluded: {exclude[name]})" if name in exclude else "")
             remedy = f"add {name}.tsv and {name}.mot, or correct safe_comfortable_cm"
+            if name != "neutral":
+                remedy += "; `snakemake diagnosis` and `snakemake quality` go without"
             raise InputError(folder, "", found, f"{name}, for {purpose}", remedy, "trial_missing")

@@ -28,7 +28,7 @@ from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
 from real2sim.phantom.suite.plan import case_names, shards
 from real2sim.provenance import fingerprint
-from real2sim.subjects import discover
+from real2sim.subjects import discover, require_operating_point
 
 TABLES = ["markers.parquet", "pose.parquet", "joints.parquet", "robot.parquet", "quality.json"]
 
@@ -146,12 +146,24 @@ def fits_of(subjects):
 
 def gates_of_fit(wildcards):
     """Verdicts on a fitted trial and on those that its fit rests on: rest pose and joint limits."""
-    level = int(PEOPLE[wildcards.subject].tightness["safe_comfortable_cm"])
-    trials = [wildcards.trial, "neutral", f"rotation_T{level:02d}", f"translation_T{level:02d}"]
+    trials = [wildcards.trial, "neutral", *PEOPLE[wildcards.subject].operating_point]
     return [f"results/quality/{wildcards.subject}/{trial}.json" for trial in trials]
 
 
 def operating_point(wildcards, kind):
     """pose.parquet of the rotation or translation trial at the person's T*."""
-    level = int(PEOPLE[wildcards.subject].tightness["safe_comfortable_cm"])
-    return f"results/trials/{wildcards.subject}/{kind}_T{level:02d}/pose.parquet"
+    person = PEOPLE[wildcards.subject]
+    try:
+        require_operating_point(person)
+    except InputError as error:
+        raise WorkflowError(f"\n{error}") from None
+    trial = person.operating_point[kind == "translation"]
+    return f"results/trials/{wildcards.subject}/{trial}/pose.parquet"
+
+
+def known_before_diagnosis(wildcards):
+    """Joint limits and step study where the sweeps at T* were recorded; a diagnosis goes without them."""
+    name = wildcards.subject
+    if not PEOPLE[name].has_limits:
+        return {}
+    return {"limits": f"results/limits/{name}.json", "step": f"results/plant/{name}.json"}

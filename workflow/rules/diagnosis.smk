@@ -1,12 +1,14 @@
 """Which unmodelled effect causes the sim-to-real gap of a person. `snakemake diagnosis` answers for everyone who can be.
 
-Inputs:  canonical tables of neutral and of two dynamic trials, joint limits, step study, the robot twin.
+Inputs:  canonical tables of neutral and of two dynamic trials and their gates, the robot twin; joint limits and step
+         study where the sweeps at T* were recorded.
 Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html; results/diagnosis/diagnosis.csv.
 Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; page; table.
-         A person with one dynamic trial has none to be judged on and is left out.
+         A person with one dynamic trial has none to be judged on and is left out. A trial that a gate refuses is
+         diagnosed all the same (what the gate saw may be the cause), and the answer names the gate.
 """
 
-DIAGNOSED = [name for name in CALIBRATION if len(PEOPLE[name].trials_of("dynamic")) >= 2]
+DIAGNOSED = [name for name, person in PEOPLE.items() if len(person.trials_of("dynamic")) >= 2]
 
 
 rule diagnosis:
@@ -19,11 +21,14 @@ rule diagnosis:
 rule diagnose:
     """Where the gap lies, which effect causes it and how far it shrinks, for one person."""
     input:
+        unpack(known_before_diagnosis),
         train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
         held_out=lambda wildcards: poses_of(wildcards.subject, "dynamic")[1],
         neutral="results/trials/{subject}/neutral/markers.parquet",
-        limits="results/limits/{subject}.json",
-        step="results/plant/{subject}.json",
+        gates=lambda wildcards: [
+            f"results/quality/{wildcards.subject}/{trial}.json"
+            for trial in ("neutral", *PEOPLE[wildcards.subject].trials_of("dynamic")[:2])
+        ],
         robot=ROBOT,
         lock="environment-lock.txt",
     output:
@@ -43,11 +48,17 @@ rule diagnose:
         train=lambda wildcards, input: Path(input.train).parent,
         held_out=lambda wildcards, input: Path(input.held_out).parent,
         neutral=lambda wildcards, input: Path(input.neutral).parent,
+        known=lambda wildcards, input: [
+            word
+            for name in ("limits", "step")
+            if name in input.keys()
+            for word in (f"--{name}", str(input[name]))
+        ],
         settings=DIAGNOSIS_SETTINGS,
         code=code("diagnose"),
     shell:
         "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
-        " --held-out {params.held_out:q} --neutral {params.neutral:q} --limits {input.limits:q} --step {input.step:q}"
+        " --held-out {params.held_out:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
         " 2>&1 | tee {log:q}"
 

@@ -22,6 +22,7 @@ from real2sim.geometry import AXES, INTERFACE_MARKERS
 from real2sim.identification.noise_floor import block_bootstrap_mean
 from real2sim.identification.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
+from real2sim.quality.verdict import refused_gates
 
 STAGE_OF = {effect.name: effect.stage for effect in EFFECTS}
 # Share of the floor below which J shows no gap that could be closed
@@ -79,6 +80,7 @@ def diagnose(
     out: Path,
     limits: Path | None = None,
     step: Path | None = None,
+    gates: list[Path] | None = None,
     traces: Path | None = None,
 ) -> None:
     """Where the gap lies, which effect causes it, how far it shrinks; written as diagnosis.json.
@@ -91,6 +93,8 @@ def diagnose(
         Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the configuration.
     limits, step
         Joint limits and step study of the person, where they exist.
+    gates
+        Verdicts on the trials (results/quality/<SUBJECT>/<TRIAL>.json). What they refuse is named in the answer.
     traces
         Table (Parquet) of the held-out trial: time and, per interface marker and axis, measured, plain and with effect.
     """
@@ -118,6 +122,7 @@ def diagnose(
             "schema": 1,
             "subject": subject,
             "phantom": phantom,
+            "refused_gates": refused_gates(gates or []),
             "train": [train.name],
             "held_out": [held_out.name],
         }
@@ -305,7 +310,7 @@ def _closed(
 
 
 def _add_intervals(pair: Pair, hypothesis: Hypothesis, placed: Any, named: dict[str, dict[str, Any]]) -> None:
-    """95 % intervals of an effect's parameters from the curvature at the joint optimum."""
+    """95 % intervals of an effect's parameters from the curvature at the joint optimum, cut at the search's bounds."""
     problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian
@@ -319,6 +324,8 @@ def _add_intervals(pair: Pair, hypothesis: Hypothesis, placed: Any, named: dict[
     own = slice(first, first + len(placed.effect.parameters))
     sd = np.sqrt(np.diag(covariance)[own])
     x = hypothesis.z[own]
-    low, high = placed.values((x - 1.96 * sd)[None])[0], placed.values((x + 1.96 * sd)[None])[0]
+    lower, upper = placed.bounds()
+    low = placed.values(np.clip(x - 1.96 * sd, lower, upper)[None])[0]
+    high = placed.values(np.clip(x + 1.96 * sd, lower, upper)[None])[0]
     for entry, a, b in zip(named.values(), low, high, strict=True):
         entry["ci95"] = [float(min(a, b)), float(max(a, b))]

@@ -56,7 +56,6 @@ def _answer(folder: Path, robot: Path, settings: dict, target: Path) -> None:
             settings=settings["ingest"],
             raw=raw,
             out=tables,
-            sweeps=False,
         )
     missing = [name for name in (TRAIN, HELD_OUT, NEUTRAL) if not (tables / name).exists()]
     if missing:

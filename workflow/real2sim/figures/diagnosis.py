@@ -50,11 +50,13 @@ COLUMNS = (
     "next_trial",
     "train",
     "held_out",
+    "refused_gates",
     "phantom",
 )
 _KEYS = (
     "subject",
     "phantom",
+    "refused_gates",
     "train",
     "held_out",
     "noise_floor",
@@ -127,6 +129,9 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
                 "next_trial": d["next_trial"],
                 "train": " ".join(d["train"]),
                 "held_out": " ".join(d["held_out"]),
+                "refused_gates": " ".join(
+                    f"{trial}:{','.join(g)}" for trial, g in d["refused_gates"].items()
+                ),
                 "phantom": d["phantom"],
             }
         )
@@ -183,6 +188,11 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 def _lead(d: Mapping[str, Any]) -> list[str]:
     parts = [paragraph(_verdict(d), "lead"), paragraph(_spectral(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
+    for trial, gates in d["refused_gates"].items():
+        what = (
+            f"{trial} is refused by its gates ({', '.join(gates)}): the answer rests on a recording in doubt."
+        )
+        parts.append(paragraph(what))
     return [part for part in parts if part != "<p></p>"]
 
 

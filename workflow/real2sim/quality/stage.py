@@ -109,8 +109,7 @@ def _tables(person: Subject, settings: dict) -> tuple[dict[str, np.ndarray], dic
 
 
 def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
-    level = int(person.tightness["safe_comfortable_cm"])
-    names = [f"{kind}_T{level:02d}" for kind in ("rotation", "translation")]
+    names = person.operating_point
     if not set(names) <= set(q):
         return None
     both = np.concatenate([q[name] for name in names])

@@ -79,6 +79,19 @@ def require(gates: Sequence[Path], trial: str) -> dict[str, list[str]]:
     return out
 
 
+def refused_gates(gates: Sequence[Path]) -> dict[str, list[str]]:
+    """Names of the gates that refuse trials, overridden or not: {"S01/dynamic_1": ["spikes"]}.
+
+    For what explains a recording rather than rests on it. ``gates`` as in `require`.
+    """
+    contents = [read_json(path, ("subject", "trial", "refused")) for path in gates]
+    return {
+        f"{content['subject']}/{content['trial']}": [gate["gate"] for gate in content["refused"]]
+        for content in contents
+        if content["refused"]
+    }
+
+
 def _refusal(path: Path, content: dict[str, Any]) -> InputError:
     first, *others = content["refused"]
     more = f" (and {len(others)} more: {', '.join(g['gate'] for g in others)})" if others else ""

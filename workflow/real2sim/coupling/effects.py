@@ -339,6 +339,17 @@ class TurnedAxes:
             fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
 
 
+class TurnedBack:
+    """All strap axes turned about the vertical against a turn of the pelvis' path, value (m, 1) [rad]."""
+
+    def build(self, spec, where):
+        """Nothing: axes are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """The path carries the axes along with it; the strap hangs on the person all the same."""
+        TurnedAxes().set(fields, where, parameters, values * np.array([0.0, 0.0, -1.0]))
+
+
 class RestShift:
     """The axis' spring rests elsewhere: value (m, 1)."""
 
@@ -440,7 +451,8 @@ class Context:
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
     (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the person stands;
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
-    ``coordinates`` and ``rates`` (n, 6) of the interface.
+    ``coordinates`` and ``rates`` (n, 6) of the interface; ``neutral_rotation`` (3, 3) and ``neutral_position`` (3,) of
+    the pelvis in the neutral trial [m, world], where the rest pose was taken.
     """
 
     time_s: np.ndarray
@@ -454,18 +466,22 @@ class Context:
     spikes: np.ndarray
     coordinates: np.ndarray
     rates: np.ndarray
+    neutral_rotation: np.ndarray
+    neutral_position: np.ndarray
 
 
 # ---------------------------------------------------------------- input and output chain
 
 
 def _turned_motion(values, context):
-    # the motion seen in a frame turned about the vertical, from the same start
+    # The pelvis in the interface's frame, turned about the vertical through the lab's origin. The rest pose was taken in
+    # two frames too: what it holds of the turn at the place of the neutral trial goes with the pelvis.
     turn = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
-    start, where = context.pelvis_rotation[0], context.pelvis_position[0]
-    position = where + (context.pelvis_position - where) @ turn.T
-    rotation = turn @ context.pelvis_rotation @ start.T @ turn.T @ start
-    return rotation, position
+    rest, where = context.neutral_rotation, context.neutral_position
+    fixed = rest.T @ turn.T @ rest
+    offset = rest.T @ turn.T @ (where - turn @ where)
+    rotation = turn @ context.pelvis_rotation
+    return rotation @ fixed, context.pelvis_position @ turn.T + rotation @ offset
 
 
 def _earlier_pelvis(values, context):
@@ -1021,6 +1037,7 @@ EFFECTS: tuple[Effect, ...] = (
         "F",
         "a static wand seen by both systems",
         scope="whole",
+        plant=TurnedBack(),
         input_chain=_turned_motion,
     ),
     Effect(

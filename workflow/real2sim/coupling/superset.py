@@ -12,9 +12,6 @@ from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Sca
 from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.coupling.replay import Replay, servo_command
 
-# Step of the finite differences that make an input effect a linear change of the pelvis command, in searched numbers
-_STEP = 1e-4
-
 
 class EffectReplay(Replay):
     """A `Replay` with some effects, recording the robot's joints beside the interface.
@@ -63,18 +60,23 @@ class EffectReplay(Replay):
                 placed.effect.plant.build(spec, placed.where)
 
     def _input_basis(self, placed: Placed) -> np.ndarray:
-        """Change of the pelvis command (p, nstep, 6) per SI unit of each parameter, about none."""
+        """Change of the pelvis command (2, p, nstep, 6) with each parameter and its square, about none [SI].
+
+        A parabola through steps of a tenth of the range: a lever arm of metres makes the square count.
+        """
         context, chain = self._context, placed.effect.input_chain
         assert chain is not None
         count = len(placed.effect.parameters)
         command = servo_command(self.drive)
-        step = placed.values(np.ones((1, count)))[0] * _STEP
-        out = np.empty((count, *command.shape))
+        step = placed.values(placed.bounds()[1][None] / 10)[0]
+        out = np.empty((2, count, *command.shape))
         for i in range(count):
-            values = np.zeros(count)
-            values[i] = step[i]
-            rotation, position = chain(values, context)
-            out[i] = (self.command_for(rotation, position) - command) / step[i]
+            ahead, behind = (
+                self.command_for(*chain(sign * step[i] * np.eye(count)[i], context)) - command
+                for sign in (1, -1)
+            )
+            out[0, i] = (ahead - behind) / (2 * step[i])
+            out[1, i] = (ahead + behind) / (2 * step[i] ** 2)
         return out
 
     def command_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -121,7 +123,9 @@ class EffectReplay(Replay):
             self._control[:m, :, :6] = servo_command(self.drive)
             self._control[:m, :, 6:] = 0
         if i in self._basis:
-            self._control[:m, :, :6] += np.einsum("mp,pnc->mnc", values, self._basis[i])
+            self._control[:m, :, :6] += np.einsum(
+                "kmp,kpnc->mnc", np.array([values, values**2]), self._basis[i], optimize=True
+            )
         else:
             assert isinstance(placed.effect.plant, PlannedForce)
             force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])

@@ -24,7 +24,15 @@ from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Context, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
 from real2sim.coupling.superset import EffectReplay
-from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
+from real2sim.geometry import (
+    AXES,
+    INTERFACE_MARKERS,
+    PELVIS_MARKERS,
+    interface_frame,
+    mean_rotation,
+    pelvis_frame,
+    rotation_matrix,
+)
 from real2sim.identification.cost import CostScales, TrialCost
 from real2sim.identification.trial import Trial, load_limits, load_trial
 
@@ -273,6 +281,7 @@ def _rigid_markers(trial: Trial) -> np.ndarray:
 def load_evidence(
     *,
     folder: Path,
+    neutral: Path,
     limits: Path | None,
     robot: Path,
     settings: dict,
@@ -282,8 +291,8 @@ def load_evidence(
 
     Parameters
     ----------
-    folder
-        results/trials/<SUBJECT>/<TRIAL>.
+    folder, neutral
+        results/trials/<SUBJECT>/<TRIAL> of the trial and of the neutral one.
     limits
         Joint limits of the person; None lets the strap's joints go anywhere.
     settings
@@ -316,6 +325,7 @@ def load_evidence(
         spikes(trial.interface, rate),
         signals.lowpass(q, rate, cutoff, 4),
         signals.lowpass(qd, rate, cutoff, 4),
+        *_mean_pelvis(neutral),
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
@@ -323,6 +333,15 @@ def load_evidence(
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones)
     return Evidence(trial, measured, context, scales, cost, settings, robot, known, {}, q, sd, cutoff)
+
+
+def _mean_pelvis(neutral: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Mean pelvis rotation (3, 3) and position (3,) [m, world] of the neutral trial's tables."""
+    table = pq.read_table(neutral / "pose.parquet")
+    quaternion = np.column_stack([table[f"pelvis_q{c}"].to_numpy() for c in "wxyz"])
+    position = np.column_stack([table[f"pelvis_{c}"].to_numpy() for c in "xyz"])
+    known = np.isfinite(quaternion).all(axis=1)
+    return mean_rotation(rotation_matrix(quaternion[known])), position[known].mean(axis=0)
 
 
 def measured_coordinates(path: Path, prefix: str) -> np.ndarray:

@@ -52,7 +52,8 @@ def prepare(
     folders = (train, held_out)
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
     evidence = [
-        load_evidence(folder=f, limits=limits, robot=robot, settings=settings, sd=noise) for f in folders
+        load_evidence(folder=f, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise)
+        for f in folders
     ]
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])

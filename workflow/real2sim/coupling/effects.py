@@ -474,8 +474,8 @@ class Context:
 
 
 def _turned_motion(values, context):
-    # The pelvis in the interface's frame, turned about the vertical through the lab's origin. The rest pose was taken in
-    # two frames too: what it holds of the turn at the place of the neutral trial goes with the pelvis.
+    # The pelvis in the interface's frame, turned about the vertical through the lab's origin. The rest pose was taken
+    # in two frames too: what it holds of the turn at the place of the neutral trial goes with the pelvis.
     turn = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
     rest, where = context.neutral_rotation, context.neutral_position
     fixed = rest.T @ turn.T @ rest

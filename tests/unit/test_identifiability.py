@@ -299,3 +299,22 @@ def test_block_bootstrap_covers_the_mean_of_a_correlated_series():
 def test_block_bootstrap_is_reproducible_by_seed():
     series = correlated(0.5, 1.0, 3)
     assert block_bootstrap_mean(series, 50, 200, 0.95, 7) == block_bootstrap_mean(series, 50, 200, 0.95, 7)
+
+
+def test_jacobian_goes_round_a_simulation_that_fails():
+    matrix = design(np.ones(12))
+    line = linear(matrix, np.zeros(N))
+    middle = (BOUNDS.lower * BOUNDS.upper) ** 0.5
+
+    def fails_above(parameters):
+        out = line(parameters)
+        out[parameters[:, 3] > middle[3] * (1 + 1e-6)] = np.nan
+        out[np.abs(parameters[:, 5] / middle[5] - 1) > 1e-6] = np.nan
+        return out
+
+    z = np.log(middle)
+    whole = Residuals(line, BOUNDS, 13).with_jacobian(z, np.arange(12))[1]
+    jacobian = Residuals(fails_above, BOUNDS, 13).with_jacobian(z, np.arange(12))[1]
+    assert np.array_equal(jacobian[:, 5], np.zeros(N))
+    rest = np.delete(np.arange(12), 5)
+    np.testing.assert_allclose(jacobian[:, rest], whole[:, rest], rtol=1e-3, atol=1e-9)

@@ -43,11 +43,21 @@ class Residuals:
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (n_r,) and forward-difference Jacobian (n_r, k) by the k free ln-parameters at z (12,)."""
+        """Residuals (n_r,) and forward-difference Jacobian (n_r, k) by the k free ln-parameters at z (12,).
+
+        Where the neighbour of a simulation fails, the other neighbour is asked; where both fail, the column is zero and
+        the search leaves that parameter alone.
+        """
         step = np.where(z + STEP > self.upper, -STEP, STEP)[free]
         points = np.tile(z, (len(free) + 1, 1))
         points[np.arange(1, len(free) + 1), free] += step
         out = self.many(points)
+        failed = ~np.isfinite(out[1:]).all(axis=1)
+        if np.isfinite(out[0]).all() and failed.any():
+            other = np.tile(z, (int(failed.sum()), 1))
+            other[np.arange(len(other)), free[failed]] -= step[failed]
+            out[1:][failed], step[failed] = self.many(other), -step[failed]
+            out[1:] = np.where(np.isfinite(out[1:]).all(axis=1)[:, None], out[1:], out[0])
         return out[0], ((out[1:] - out[0]) / step[:, None]).T
 
 

@@ -1,8 +1,10 @@
 """Which unmodelled effect causes the sim-to-real gap of a person. `snakemake diagnosis` answers for everyone who can be.
 
 Inputs:  canonical tables of neutral and of two dynamic trials, joint limits, step study, the robot twin.
-Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html; results/diagnosis/diagnosis.csv.
-Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; page; table.
+Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html, model.xml, model.json,
+         model_replay.csv; results/diagnosis/diagnosis.csv.
+Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; the diagnosed
+         model as MJCF; page; table.
          A person with one dynamic trial has none to be judged on and is left out.
 """
 
@@ -14,6 +16,7 @@ rule diagnosis:
     input:
         "results/diagnosis/diagnosis.csv",
         expand("results/diagnosis/{subject}/diagnosis.html", subject=DIAGNOSED),
+        expand("results/diagnosis/{subject}/model.xml", subject=DIAGNOSED),
 
 
 rule diagnose:
@@ -50,6 +53,39 @@ rule diagnose:
         " --held-out {params.held_out:q} --neutral {params.neutral:q} --limits {input.limits:q} --step {input.step:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
         " 2>&1 | tee {log:q}"
+
+
+rule diagnosis_model:
+    """The diagnosed model as an MJCF for the next simulation, and what of the diagnosis is no part of it."""
+    input:
+        answer="results/diagnosis/{subject}/diagnosis.json",
+        train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        limits="results/limits/{subject}.json",
+        robot=ROBOT,
+        lock="environment-lock.txt",
+    output:
+        model="results/diagnosis/{subject}/model.xml",
+        notes="results/diagnosis/{subject}/model.json",
+        replay="results/diagnosis/{subject}/model_replay.csv",
+    log:
+        "logs/diagnosis/{subject}_model.log",
+    benchmark:
+        "logs/benchmarks/diagnosis/{subject}_model.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=800,
+        runtime=10,
+    params:
+        train=lambda wildcards, input: Path(input.train).parent,
+        neutral=lambda wildcards, input: Path(input.neutral).parent,
+        code=code("diagnosis-model"),
+    shell:
+        "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --train {params.train:q}"
+        " --neutral {params.neutral:q} --limits {input.limits:q} --robot {input.robot:q} --out {output.model:q}"
+        " --notes {output.notes:q} --replay {output.replay:q} 2>&1 | tee {log:q}"
 
 
 rule diagnosis_page:

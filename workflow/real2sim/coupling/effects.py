@@ -290,13 +290,11 @@ class Maxwell:
         _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
 
     def set(self, fields, where, parameters, values):
-        """Stiffness, damping, and an inertia that the step bears and nobody notices."""
+        """Stiffness and damping. The slide needs no inertia: its damping is implicit."""
         name = f"maxwell_{where.element}"
         dof = int(fields.model.joint(name).dofadr[0])
-        stiffness, damping = values[:, 0], values[:, 0] * values[:, 1]
-        fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
-        fields["dof_damping"][:, dof] = damping
-        fields["dof_armature"][:, dof] = 0.02 * np.abs(damping) * fields.model.opt.timestep
+        fields["tendon_stiffness"][:, fields.tendon(name)] = values[:, 0]
+        fields["dof_damping"][:, dof] = values[:, 0] * values[:, 1]
 
 
 class Coupling:
@@ -601,7 +599,8 @@ class Effect:
 
     ``scope`` is "axis", "side" (axis and direction), "pair" (of axes) or "whole"; ``forms`` names variants with
     other equations for the same name. ``input_chain`` maps values (p,) and context to a pelvis path; ``output_chain``
-    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths.
+    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths. ``remedy`` says what to do about an effect
+    that cannot be part of a model: chains and planned forces have one.
     """
 
     name: str
@@ -617,6 +616,7 @@ class Effect:
     form: str = ""
     replaces_spring: bool = False
     substeps: int = 1
+    remedy: str = ""
 
     def places(self) -> list[Where]:
         """Everywhere that it can act."""
@@ -845,6 +845,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=PlannedForce(_bouc_wen),
         form="_bouc_wen",
+        remedy="Add a force -force z to the strap joint, z stepped with the rate qdot by the equation, from z = 0",
     ),
     Effect(
         "relaxation",
@@ -882,6 +883,10 @@ EFFECTS: tuple[Effect, ...] = (
         _STAND,
         scope="side",
         plant=PlannedForce(_ratchet),
+        remedy=(
+            "Add a force k r to the strap joint on its side, k its stiffness: r follows q - threshold at the rate"
+            " while the strap is beyond it, and never returns"
+        ),
     ),
     Effect(
         "cross_coupling",
@@ -989,6 +994,9 @@ EFFECTS: tuple[Effect, ...] = (
         "the same motion with the controller off",
         scope="whole",
         plant=PlannedForce(_reaction, ROBOT_JOINTS[:2]),
+        remedy=(
+            "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed"
+        ),
     ),
     Effect(
         "tilt",
@@ -999,6 +1007,7 @@ EFFECTS: tuple[Effect, ...] = (
         "turning in place",
         scope="whole",
         plant=PlannedForce(_tilt, ROBOT_JOINTS[:2]),
+        remedy="Add to base_x and base_y a constant force: slope times 9.81 m/s2 times the robot's mass",
     ),
     Effect(
         "soft_tissue",
@@ -1012,6 +1021,10 @@ EFFECTS: tuple[Effect, ...] = (
         "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
         scope="whole",
         input_chain=_soft_tissue,
+        remedy=(
+            "Correct the pelvis before it is replayed: with v its rotation vector from the start pose, take from its"
+            " position R (shift v) and from its rotation the vector turn v, both in the pelvis' frame"
+        ),
     ),
     Effect(
         "lab_yaw",
@@ -1022,6 +1035,7 @@ EFFECTS: tuple[Effect, ...] = (
         "a static wand seen by both systems",
         scope="whole",
         input_chain=_turned_motion,
+        remedy="Turn the pelvis' motion from its start by minus the yaw about the vertical before it is replayed",
     ),
     Effect(
         "replay_lag",
@@ -1032,6 +1046,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         input_chain=_earlier_pelvis,
+        remedy="Replay the pelvis earlier by the lag: what it shows at t happened at t - lag",
     ),
     Effect(
         "sync_offset",
@@ -1042,6 +1057,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         output_chain=_late_markers,
+        remedy="Shift the interface markers earlier by the offset before they are compared with the simulation",
     ),
     Effect(
         "clock_drift",
@@ -1052,6 +1068,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         output_chain=_drifting_clock,
+        remedy="Read the simulation at (1 + drift) t, t from the start, where the interface markers say t",
     ),
     Effect(
         "filter_lag",
@@ -1062,6 +1079,10 @@ EFFECTS: tuple[Effect, ...] = (
         "fast content near the filter's cut-off",
         scope="whole",
         output_chain=_filtered_markers,
+        remedy=(
+            "Pass the simulated interface markers through a causal Butterworth low-pass of second order with this"
+            " cut-off, or export the markers without the filter"
+        ),
     ),
     Effect(
         "marker_offset",
@@ -1072,6 +1093,10 @@ EFFECTS: tuple[Effect, ...] = (
         "static poses at several headings",
         scope="whole",
         output_chain=_off_site,
+        remedy=(
+            "Take from each interface marker its offset, turned with the interface from the start pose, or move the"
+            " sites interface_left and interface_right by it"
+        ),
     ),
     *(
         Effect(
@@ -1083,6 +1108,7 @@ EFFECTS: tuple[Effect, ...] = (
             "distance between markers at the start and at the end",
             scope="whole",
             output_chain=_drifting_marker(index),
+            remedy="Take from the interface marker the ramp: its rate times the time from the start",
             form=f"{side}",
         )
         for index, side in enumerate(("left", "right"))
@@ -1096,6 +1122,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the same trial, labelled again",
         scope="whole",
         output_chain=_without_spikes,
+        remedy="Label the jumping interface markers again, or leave those samples out",
     ),
 )
 

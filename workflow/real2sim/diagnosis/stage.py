@@ -16,6 +16,7 @@ from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
+from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.geometry import AXES, INTERFACE_MARKERS
@@ -123,6 +124,7 @@ def diagnose(
         }
         | _answer(pair, attribution, decision)
         | {
+            "model": described(_chosen(attribution, decision), pair.train.scales),
             "settings": settings,
             "provenance": provenance(
                 [*used, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__)
@@ -131,9 +133,13 @@ def diagnose(
     )
 
 
+def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
+    return attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+
+
 def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decision: Decision) -> None:
     """Measured and simulated interface markers of the held-out trial [m, world]."""
-    best = attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+    best = _chosen(attribution, decision)
     paths = {
         "measured": evidence.trial.interface,
         "plain": _paths(evidence, attribution.plain),

@@ -15,7 +15,7 @@ from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis
 
-from tests.unit.test_coupling import PRIOR
+from tests.unit.test_coupling import PRIOR, ROBOT
 from tests.unit.test_diagnosis import SCALES, replay
 
 LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
@@ -57,13 +57,21 @@ def test_the_file_moves_as_the_model_in_process(effect, tmp_path):
     simulated = model.as_simulated()
     file = tmp_path / "model.xml"
     file.write_text(
-        to_mjcf(baked(model, simulated), simulated, ["-- header --"], {"subject": "S01"}, {"k_tx": 1 / 3})
+        to_mjcf(
+            baked(model, simulated),
+            simulated,
+            ["-- header --"],
+            {"note": "the person's < & \" strap"},
+            {"k_tx": 1 / 3},
+        )
     )
     alone = in_plain_mujoco(file, simulated.control)
     np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(model.sites()[:: model.stride], paths)
     loaded = mujoco.MjModel.from_xml_path(str(file))
     assert loaded.numeric("k_tx").data[0] == 1 / 3
+    assert loaded.ntext == 1
+    assert bytes(loaded.text_data).rstrip(b"\0").decode() == "the person's < & \" strap"
     assert "include" not in file.read_text()
 
 
@@ -76,6 +84,22 @@ def test_several_effects_at_half_the_step_survive_too(tmp_path):
     np.testing.assert_allclose(
         in_plain_mujoco(file, simulated.control)[:: model.stride], paths, rtol=0, atol=1e-6
     )
+
+
+def test_a_robot_with_shapes_needs_no_file_of_theirs(tmp_path, monkeypatch):
+    own = tmp_path / "own.xml"
+    text = ROBOT.read_text()
+    inertial = '<inertial pos="0 0 0" mass="3" diaginertia="0.03 0.03 0.03"/>'
+    assert inertial in text
+    own.write_text(text.replace(inertial, '<geom type="box" size="0.05 0.2 0.05" mass="3"/>'))
+    monkeypatch.setattr("tests.unit.test_diagnosis.ROBOT", own)
+    model, paths = acting([named("slack")])
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    assert mujoco.MjModel.from_xml_path(str(file)).ngeom == 0
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
 
 
 def test_a_field_without_an_element_is_an_error():

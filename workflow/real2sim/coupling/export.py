@@ -107,6 +107,13 @@ _DERIVED = (
     "stat",
 )
 
+# What an export adds, and what it leaves out because nothing touches
+_ADDED = ("key_", "text_", "numeric_", "name_")
+_SHAPES = (
+    *("geom_", "bvh_", "body_bvh", "body_geom", "body_contype", "body_conaffinity"),
+    *("mesh_", "hfield_", "tex_", "mat_", "skin_", "path"),
+)
+
 
 def _fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """Numbers of a compiled model that tell one from another."""
@@ -192,12 +199,15 @@ def to_mjcf(
     _exact(root, spec)
     for name, value in numbers.items():
         _set(root.find(f"custom/numeric[@name='{name}']"), "data", [value])
+    for element in root.iterfind("custom/text"):
+        # the writer has two ways to write a text, and the reader understands one of them
+        element.set("data", texts.get(element.get("name", ""), element.get("data", "")))
+        element.text = None
     ET.indent(root)
     comment = "\n".join(f"  {line}".replace("--", "-") for line in header)
     text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
     again = mujoco.MjModel.from_xml_string(text)
-    fields = ("key_", "text_", "numeric_", "name_")
-    lost = [f for f in _differing(again, simulated.model, _SAME) if not f.startswith(fields)]
+    lost = [f for f in _differing(again, simulated.model, _SAME) if not f.startswith(_ADDED + _SHAPES)]
     if lost:
         raise ValueError(f"MJCF loses {', '.join(lost)}")
     return text

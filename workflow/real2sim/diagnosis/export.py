@@ -109,7 +109,9 @@ def export_model(
         CSV of the training trial at the model's steps: controls by actuator, and where the interface sites then are
         [m, world].
     """
-    answer = read_json(diagnosis, ("subject", "verdict", "parameters", "model", "settings", "phantom"))
+    answer = read_json(
+        diagnosis, ("subject", "verdict", "verdict_set", "parameters", "model", "settings", "phantom")
+    )
     settings = answer["settings"]
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
     evidence = load_evidence(folder=train, limits=limits, robot=robot, settings=settings, sd=noise)
@@ -155,7 +157,8 @@ def _verdict(answer: dict[str, Any]) -> str:
             "unknown: there is a gap that no effect of the catalogue explains; this is the plain plant with the plain"
             " fit, and it does not close the gap"
         )
-    return f"{answer['verdict']} (probability {answer['probabilities'][answer['verdict']]:.2f})"
+    names = " with ".join(answer["verdict_set"])
+    return f"{names} (probability of {answer['verdict']} {answer['probabilities'][answer['verdict']]:.2f})"
 
 
 def _value(name: str, about: dict[str, Any]) -> str:
@@ -192,7 +195,7 @@ def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str,
         "The pelvis follows actuators pelvis_tx to pelvis_rz: position relative to site pelvis_reference (m, rotation",
         "vector), plus 2 h velocity, plus 2 h^2 acceleration, velocities taken h/2 earlier (h: the time step). Damped",
         "joints carry armature -damping h / 2, which centres the step: keep h, or change both.",
-        f"{replay} holds these controls for one trial, and where the interface sites are then.",
+        f"{replay} holds these controls for one trial (planned_*: planned forces), and where the sites are then.",
     ]
 
 

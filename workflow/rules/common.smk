@@ -26,7 +26,7 @@ from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
-from real2sim.phantom.suite.plan import case_names, shards
+from real2sim.phantom.suite.plan import case_names, expected_time, shards
 from real2sim.provenance import fingerprint
 from real2sim.subjects import discover
 

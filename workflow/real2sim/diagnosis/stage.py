@@ -189,14 +189,14 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
             "stages": stages,
             "axes": _axes(best, axis_shares(held_out, paths["plain"], noise)),
         }
-        | where(held_out, paths["plain"], noise),
+        | where(held_out, paths["plain"], noise, None if decision.chosen is None else paths["best"]),
         "causes": ranked,
         "probabilities": decision.probabilities,
         "verdict": decision.verdict,
         "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
         "ambiguity_group": list(decision.group),
         "next_trial": next_trial(decision),
-        "baselines": _baselines(attribution),
+        "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),
         "parameters": {
             name: {"base": float(a), "with_effect": float(b), "unit": unit(name)}
             for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
@@ -221,6 +221,21 @@ def _baselines(attribution: Attribution) -> dict[str, str]:
         "BIC": least(lambda h: h.chi2[0] + np.log(n) * (len(h.z) - 12)),
         "held out, no gate": least(lambda h: h.chi2[1]),
     }
+
+
+def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str, str]:
+    """What rules say that take every sample of J for a measurement of its own, from the training trial."""
+    fits = [attribution.plain, *(h for h in attribution.hypotheses if len(h.effects) == 1)]
+    j = np.array([evidence.cost(_paths(evidence, h)[None]).total[0] for h in fits])
+    free = np.array([len(h.z) for h in fits])
+    n = 6 * evidence.cost.samples / 2
+    scores = {
+        "training J": j,
+        "AIC, independent noise": n * np.log(j) + 2 * free,
+        "BIC, independent noise": n * np.log(j) + np.log(n) * free,
+    }
+    names = [h.names[0] if h.names else NONE for h in fits]
+    return {rule: names[int(np.nanargmin(score))] for rule, score in scores.items()}
 
 
 def _paths(evidence: Evidence, hypothesis: Hypothesis) -> np.ndarray:

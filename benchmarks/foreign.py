@@ -27,6 +27,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.fft import dct
+from scipy.interpolate import make_interp_spline
+from scipy.signal.windows import tukey
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
@@ -34,12 +37,15 @@ sys.path.insert(0, str(ROOT / "workflow"))
 from real2sim import signals
 from real2sim.configuration import validated
 from real2sim.coupling.effects import EFFECTS, Context, Fields, Placed, PlannedForce, Scales
+from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import Pair, attribute
 from real2sim.diagnosis.decide import GROUPS, Decision, decide
 from real2sim.diagnosis.refit import JointResiduals, refit
 from real2sim.diagnosis.stage import candidates_of
 from real2sim.identification.parameters import PARAMETERS, Bounds
 
+# A slide that is moved along a path: its mass [kg], what its ends are not trusted for [samples], its band [Hz]
+IMMENSE, EDGE, BAND_HZ = 1e7, 12, (3.0, 120.0)
 # Effects of the whole system that make sense without a robot, a pelvis and a second axis
 _WHOLE = ("added_mass", "sync_offset", "clock_drift", "filter_lag")
 _K, _D = PARAMETERS.index("k_tx"), PARAMETERS.index("d_tx")
@@ -61,7 +67,10 @@ class Record:
 
 @dataclass
 class System:
-    """A benchmark: its two trials, known mass [kg], bounds of stiffness and damping, step [s], right answers."""
+    """A benchmark: its two trials, known mass [kg], bounds of stiffness and damping, step [s], right answers.
+
+    ``moved``: the plant is moved along the measured path and gives a force, else it is given the force and moves.
+    """
 
     name: str
     train: Record
@@ -72,6 +81,7 @@ class System:
     step_s: float
     cutoff_hz: float
     right: tuple[str, ...]
+    moved: bool = False
 
 
 class OneAxisReplay:
@@ -100,7 +110,7 @@ class OneAxisReplay:
             name="interface", mass=self._evidence.mass, inertia=[1, 1, 1], explicitinertial=True
         )
         body.add_joint(name="strap_tx", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-        spec.add_actuator(name="force", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="strap_tx").set_to_motor()
+        self._drive(spec)
         spec.add_sensor(
             type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname="strap_tx"
         )
@@ -108,6 +118,10 @@ class OneAxisReplay:
             if placed.effect.plant is not None:
                 placed.effect.plant.build(spec, placed.where)
         return spec.compile()
+
+    def _drive(self, spec: mujoco.MjSpec) -> None:
+        """The first actuator, which makes it move."""
+        spec.add_actuator(name="force", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="strap_tx").set_to_motor()
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Positions (m, n, 2, 3) [m] along x of both markers, for strap parameters (m, 12) and searched numbers."""
@@ -119,6 +133,7 @@ class OneAxisReplay:
         # centred steps, as the plant of the interface has them (coupling/plant.py)
         fields["dof_armature"][:, dof] = -parameters[:, _D] * h / 2
         fields["body_mass"][:] = self.model.body_mass
+        self._damping = parameters[:, _D]
         values = [placed.values(part) for placed, part in zip(self.effects, x, strict=True)]
         self._control[:m, :, 1:] = 0
         for placed, value in zip(self.effects, values, strict=True):
@@ -139,18 +154,59 @@ class OneAxisReplay:
         return paths, np.zeros((m, paths.shape[1], 0))
 
     def _roll(self, m: int) -> np.ndarray:
+        """What is compared with the measurement (m, n)."""
+        return self._rollout(m, (0.0, 0.0), ("sensordata",))["sensordata"][:, :: self._stride, 0]
+
+    def _rollout(self, m: int, start: tuple[float, float], record: tuple[str, ...]) -> dict[str, np.ndarray]:
         batch, ids = self._batch, np.arange(m)
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        batch.bind("qpos")[:m] = self._evidence.record.position[0] * 0
-        rolled = batch.rollout(
-            self._control.shape[1],
-            self._control[:m],
-            record=("sensordata",),
-            ids=None if m == batch.nsim else ids,
-        )["sensordata"]
-        out = rolled[:, :: self._stride, 0].copy()
-        out[batch.warning[:m].any(axis=tuple(range(1, batch.warning.ndim)))] = np.nan
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = 0, 0
+        batch.bind("qpos")[:m, self._joint], batch.bind("qvel")[:m, self._joint] = start
+        out = batch.rollout(
+            self._control.shape[1], self._control[:m], record=record, ids=None if m == batch.nsim else ids
+        )
+        failed = batch.warning[:m].any(axis=tuple(range(1, batch.warning.ndim)))
+        for values in out.values():
+            values[failed] = np.nan
         return out
+
+
+class MovedReplay(OneAxisReplay):
+    """The same slide moved along the measured path; what comes out is the force that it takes, [N] along x.
+
+    A driven resonance forgets nothing: its replay is far from the measurement before a search has begun. The force for
+    a motion is as near as the law is. The path is imposed as the pelvis' is (coupling/plant.py): an immense mass on a
+    servo with feed-forward.
+    """
+
+    def __init__(self, evidence: OneAxisEvidence, effects: Sequence[Placed], nsim: int):
+        super().__init__(evidence, effects, nsim)
+        h, record = self.model.opt.timestep, evidence.record
+        path = make_interp_spline(record.time_s, record.position, k=5)
+        t = record.time_s[0] + h * np.arange(self._control.shape[1])
+        command = path(t) + 2 * h * path(np.maximum(t - h / 2, t[0]), 1) + 2 * h * h * path(t, 2)
+        self._control[:, :, 0] = command
+        self._start = float(path(t[0])), float(path(t[0], 1))
+        self._acceleration = path(record.time_s, 2)
+        self._inertial = evidence.mass * self._acceleration
+
+    def _drive(self, spec: mujoco.MjSpec) -> None:
+        h = spec.option.timestep
+        spec.body("interface").mass = IMMENSE
+        kp, kd = (IMMENSE * gain for gain in servo_gains(h))
+        actuator = spec.add_actuator(name="path", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="strap_tx")
+        actuator.gainprm = [kp] + [0] * 9
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm = [0, -kp, -kd] + [0] * 7
+
+    def _roll(self, m: int) -> np.ndarray:
+        out = self._rollout(m, self._start, ("qfrc_passive", "qfrc_constraint", "actuator_force"))
+        dof = int(self.model.joint("strap_tx").dofadr[0])
+        force = out["qfrc_passive"][:, :, dof] + out["qfrc_constraint"][:, :, dof]
+        force = force + out["actuator_force"][:, :, 1:].sum(axis=2)
+        # the rate of a step is that of half a step before
+        late = self._damping[:, None] * self.model.opt.timestep / 2 * self._acceleration
+        return self._inertial - force[:, :: self._stride] + late
 
 
 class OneAxisEvidence:
@@ -158,7 +214,12 @@ class OneAxisEvidence:
 
     def __init__(self, system: System, record: Record):
         self.record, self.mass, self.step_s = record, system.mass, system.step_s
-        rate = 1 / (record.time_s[1] - record.time_s[0])
+        self._rate = rate = 1 / (record.time_s[1] - record.time_s[0])
+        self._moved, self._force = system.moved, record.force(record.time_s, system.step_s)
+        n = len(record.time_s) - 2 * EDGE
+        hz = np.arange(n) * rate / (2 * n)
+        self._taper = tukey(n, 0.5) / np.sqrt(np.mean(tukey(n, 0.5) ** 2))
+        self._band, self._sd = (hz > BAND_HZ[0]) & (hz < BAND_HZ[1]), np.ones(n)
         self._q = signals.lowpass(record.position[:, None], rate, system.cutoff_hz, 4)[:, 0]
         self._v = np.gradient(self._q, record.time_s)
         ones = np.ones(6)
@@ -166,11 +227,23 @@ class OneAxisEvidence:
 
     def replay(self, effects: list[Placed], nsim: int) -> OneAxisReplay:
         """A replay of this trial with effects."""
-        return OneAxisReplay(self, effects, nsim)
+        return (MovedReplay if self._moved else OneAxisReplay)(self, effects, nsim)
 
     def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Residuals (m, n) whose squares sum to chi-squared."""
-        return (paths[:, :, 0, 0] - self.record.position) / self.record.noise_m
+        """Residuals (m, n_r) whose squares sum to chi-squared."""
+        if not self._moved:
+            return (paths[:, :, 0, 0] - self.record.position) / self.record.noise_m
+        # tapered: the noise of a force grows with the square of the frequency and would leak downward
+        error = (paths[:, EDGE:-EDGE, 0, 0] - self._force[EDGE:-EDGE]) * self._taper
+        return (dct(error, axis=1, norm="ortho") / self._sd)[:, self._band]
+
+    def set_noise(self, stiffness: float, damping: float) -> None:
+        """Weigh frequencies by what noise of the path does to the force of a plain plant [N/m, Ns/m]."""
+        n = len(self.record.time_s) - 2 * EDGE
+        w = np.pi * np.arange(n) / n * self._rate
+        dynamic = np.abs(stiffness - self.mass * w**2 + 1j * w * damping)
+        # near the resonance forces cancel in the plain plant alone: no frequency is trusted more than a tenth of k
+        self._sd = self.record.noise_m * np.hypot(dynamic, 0.1 * stiffness)
 
     def context(self, step_time_s: np.ndarray) -> Context:
         """What chains and planned forces are computed from."""
@@ -199,13 +272,13 @@ def _large(values: np.ndarray) -> float:
     return float(np.percentile(np.abs(values), 95))
 
 
-def places(scales: Scales) -> list[Placed]:
+def places(scales: Scales, moved: bool = False) -> list[Placed]:
     """Entries of the catalogue that a system of one axis can have."""
     return [
         Placed(effect, where, scales)
         for effect in EFFECTS
         for where in effect.places()
-        if where.axes == (0,) or effect.name in _WHOLE
+        if where.axes == (0,) or (effect.name in _WHOLE and not (moved and effect.name == "added_mass"))
     ]
 
 
@@ -216,6 +289,12 @@ def diagnosed(system: System, settings: dict, progress: Callable[[str], None]) -
     lower, upper = one.copy(), one.copy()
     (lower[_K], upper[_K]), (lower[_D], upper[_D]) = system.stiffness, system.damping
     bounds = Bounds(lower, upper)
+    middle = np.sqrt(lower * upper)
+    for evidence in (train, held_out):
+        evidence.set_noise(middle[_K], middle[_D])
+    z = _plain(train, bounds)
+    for evidence in (train, held_out):
+        evidence.set_noise(*np.exp(z[[_K, _D]]))
     z = _plain(train, bounds)
     # a spring that is hardly there is no measure of forces: the force that moves the mass is
     force = _large(system.train.force(system.train.time_s, system.step_s))
@@ -225,7 +304,7 @@ def diagnosed(system: System, settings: dict, progress: Callable[[str], None]) -
     )
     train.scales = held_out.scales = scales
     pair = Pair(train, held_out, bounds)
-    found = attribute(pair, z, settings["search"], progress, places(scales))
+    found = attribute(pair, z, settings["search"], progress, places(scales, system.moved))
     plain, sets = candidates_of(found)
     return decide(plain, sets, found.samples, settings["calibration"]), found, z
 
@@ -321,6 +400,7 @@ def bouc_wen_system(hysteretic: bool, samples: int = 1024, seed: int = 1) -> Sys
         1 / (4 * BOUC_WEN_RATE_HZ),
         200.0,
         ("hysteresis",) if hysteretic else ("none",),
+        moved=True,
     )
 
 

@@ -575,19 +575,19 @@ def _ratchet(values, context, where, parameters):
 
 
 def _bouc_wen(values, context, where, parameters):
-    # z' = (v / travel) (1 - |z| (b + (1 - b) sgn(v z))), F = -force z, along the measured coordinate
-    q = context.coordinates[:, where.axes[0]]
-    force, travel, shape = values.T
+    # z' = k v - b |v| z - g v |z|, F = -z, along the measured coordinate; k - (b + g) |z| is its slope while it is
+    # loaded, k + (b - g) |z| while it is relieved; it takes energy for b > 0
+    q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+    stiffness, loading, dissipation = values.T
     z = np.zeros((len(values), len(q)))
-    for i in range(1, len(q)):
-        step, last = (q[i] - q[i - 1]) / travel, z[:, i - 1]
+    for i, way in enumerate(np.diff(q)):
+        step, last = stiffness * way, z[:, i]
         # linear in z while the signs last: each step is exact for its increment
-        rate = np.where(step * last >= 0, 1.0, 1.0 - 2 * shape) * np.abs(step)
-        decay = np.exp(-rate)
-        gain = np.where(np.abs(rate) > 1e-9, (1 - decay) / np.where(np.abs(rate) > 1e-9, rate, 1.0), 1.0)
-        z[:, i] = last * decay + step * gain
-    out = np.stack([np.interp(context.step_time_s, context.time_s, row) for row in -force[:, None] * z])
-    return out[:, :, None]
+        rate = np.where(step * last >= 0, loading, 2 * dissipation - loading) * abs(way)
+        small = np.abs(rate) < 1e-9
+        gain = np.where(small, 1.0, -np.expm1(-rate) / np.where(small, 1.0, rate))
+        z[:, i + 1] = last * np.exp(-rate) + step * gain
+    return -z[:, :, None]
 
 
 # ---------------------------------------------------------------- the catalogue
@@ -705,6 +705,10 @@ class Placed:
 
 def _q(scales: Scales, axis: int) -> float:
     return float(scales.q[axis])
+
+
+def _per_q(scales: Scales, axis: int) -> float:
+    return float(1 / scales.q[axis])
 
 
 def _force(scales: Scales, axis: int) -> float:
@@ -835,17 +839,17 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "hysteresis",
         "interface",
-        "F = f z, z' = (qdot / travel) (1 - |z| (b + (1 - b) sgn(qdot z))) (Bouc-Wen)",
+        "F = z, z' = k qdot - b |qdot| z - g qdot |z|, loading = b + g, dissipation = b (Bouc-Wen, exponent 1)",
         (
-            _FRICTION,
-            EffectParameter("travel", "m|rad", 0.04, 2.0, (0.1, 0.5), _q, log=True),
-            EffectParameter("shape", "1", 0.5, 1.0, (0.7,)),
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 50.0, (0.5, 0.6), _k, log=True),
+            EffectParameter("loading", "1/m|1/rad", -1.5, 25.0, (10.0, 2.0), _per_q),
+            EffectParameter("dissipation", "1/m|1/rad", 0.0, 12.5, (3.0, 0.6), _per_q),
         ),
         "V",
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=PlannedForce(_bouc_wen),
         form="_bouc_wen",
-        remedy="Add a force -force z to the strap joint, z stepped with the rate qdot by the equation, from z = 0",
+        remedy="Add a force -z to the strap joint, z stepped with the rate qdot by the equation, from z = 0",
     ),
     Effect(
         "relaxation",

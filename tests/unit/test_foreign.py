@@ -52,7 +52,7 @@ def test_hysteresis_and_friction_are_named_and_nothing_where_there_is_none(forei
         foreign.bouc_wen_system(True, 400),
         foreign.bouc_wen_system(False, 400),
         foreign.emps_system(True, 5.0),
-        foreign.emps_system(False, 5.0),
+        foreign.emps_system(False, 4.0),
     ):
         row = foreign.row_of(system, SHORT, lambda text: None)
         assert row["right"], row

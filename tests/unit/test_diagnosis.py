@@ -217,12 +217,17 @@ def test_a_gap_that_nothing_explains_is_unknown():
 
 def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Path) -> tuple[dict, Path]:
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0) | {verdict: 1.0}
+    regimes = [
+        {"bin": "large amplitude, fast, outward", "share": 0.2},
+        {"bin": "large amplitude, fast, returning", "share": 0.5},
+        {"bin": "large amplitude, slow, outward", "share": 0.3 if verdict == "lugre" else 0.1},
+    ]
     answer = {
         "subject": name,
         "verdict": verdict,
         "verdict_set": [verdict],
         "probabilities": probabilities,
-        "where": {"stage": "interface", "axes": {"tx": 1.0, "ty": 0.0}},
+        "where": {"stage": "interface", "axes": {"tx": 1.0, "ty": 0.0}, "regimes": regimes},
         "gap": {"J_base": 2.0, "J_floor": 1.0, "J_with_effect": 1.0},
         "parameters": {"k_tx": {"base": 800.0, "with_effect": 710.0}},
         "baselines": {"AIC": verdict},
@@ -234,7 +239,10 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
     truth = {
         "id": name,
         "stratum": stratum,
-        "effects": [{"effect": e, "family": e, "axes": ["tx"], "stage": "interface"} for e in effects],
+        "effects": [
+            {"effect": e, "family": e, "axes": ["tx"], "stage": "interface", "severity": 0.3} for e in effects
+        ],
+        "regimes": {"large amplitude, fast": 0.5, "small amplitude, fast": 0.4, "small amplitude, slow": 0.1},
         "visibility": {"target": 0.2, "predicted": 0.2},
         "parameters": {"k_tx": {"value": 700.0}},
     }
@@ -263,4 +271,20 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     assert claims["out of library: unknown"]["value"] == 1.0
     assert claims["mixture: exact set"]["value"] == 0.0
     assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004"}
-    assert score["baselines"][1] == {"name": "AIC", "top1": 0.5, "false_alarm": 0.5}
+    assert [row["name"] for row in score["baselines"]] == ["this diagnosis", "always none", "AIC"]
+    assert score["baselines"][1] == {
+        "name": "always none",
+        "top1": 0.0,
+        "false_alarm": 0.0,
+        "wrong_name_out_of_library": 0.0,
+        "right_of_all": 0.4,
+    }
+    assert score["baselines"][2]["top1"] == 0.5
+    assert score["baselines"][2]["false_alarm"] == 0.5
+    # large and fast: said and so; small and fast: so, but not said; large and slow: said of one case, but not so
+    assert claims["where: regime F1"]["n"] == 2
+    assert claims["where: regime F1"]["value"] == pytest.approx(2 * 2 / (3 + 4))
+    effects = {row["effect"]: row for row in score["per_effect"]}
+    assert effects["slack"]["smallest_rho"] == 0.2
+    assert effects["slack"]["smallest_severity"] == 0.3
+    assert effects["coulomb"]["smallest_rho"] is None

@@ -7,6 +7,7 @@ import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from real2sim.phantom.suite.effects import FORMS
 from real2sim.phantom.suite.laws import EffectLaw
 from real2sim.phantom.suite.setups import Setup, run
 from real2sim.phantom.suite.severity import Search
-from real2sim.phantom.suite.write import write_cases
+from real2sim.phantom.suite.write import regimes, write_cases
 from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).parents[2]
@@ -437,6 +438,26 @@ def test_the_gaps_asked_for_are_reached(written):
         assert case["visibility"]["target"] == 0.2
         assert case["visibility"]["predicted"] == pytest.approx(0.2, rel=0.15)
         assert 0 < case["effects"][0]["severity"] <= 1
+        assert set(case["regimes"]) == {
+            f"{a} amplitude, {v}" for a in ("large", "small") for v in ("fast", "slow")
+        }
+        assert sum(case["regimes"].values()) == pytest.approx(1)
+
+
+def test_regimes_part_a_gap_by_amplitude_and_speed():
+    n = 400
+    t = np.arange(n) / 100
+    q = np.zeros((n, 6))
+    # the first half slow, the second fast; each has small and large excursions
+    q[:, 0] = np.where(t < 2, np.sin(np.pi * t / 2), np.sin(8 * np.pi * t))
+    paths = SimpleNamespace(q=q, qd=np.gradient(q, 0.01, axis=0))
+    error = np.zeros((n, 2, 3))
+    where = (t < 2) & (np.abs(q[:, 0]) > 0.9)
+    error[where, 0, 0] = 0.01
+    left = np.concatenate([error.ravel(), np.zeros(6 * (n - 2))])
+    shares = regimes(left, paths, paths)
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["large amplitude, slow"] > 0.9
 
 
 def test_files_are_those_planned_the_same_twice_and_can_be_ingested(written, tmp_path):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import mujoco
+
 
 def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
     assert not list(mini.folder.rglob("*sealed*"))
@@ -20,9 +22,19 @@ def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
     # skin over the pelvis is the effect that the phantom cohort is made with
     assert content["probabilities"]["soft_tissue"] == max(content["probabilities"].values())
     assert content["gap"]["J_with_effect"] < content["gap"]["J_base"]
+    model = answer.with_name("model.xml")
+    mini.snakemake("--cores", "2", str(model.relative_to(mini.folder)))
+    loaded = mujoco.MjModel.from_xml_path(str(model))
+    assert loaded.numeric("k_tx").data[0] == content["parameters"]["k_tx"]["with_effect"]
+    assert "PHANTOM" in model.read_text(encoding="utf-8")
+    notes = json.loads(model.with_suffix(".json").read_text())
+    # skin over the pelvis is no part of a model of robot and interface
+    assert not notes["complete"]
+    assert any(line.startswith("soft_tissue") for line in notes["to_do"])
     page = answer.with_suffix(".html")
     mini.snakemake("--cores", "2", "--forcerun", "diagnose", str(page.relative_to(mini.folder)))
     assert answer.read_bytes() == first
     text = page.read_text(encoding="utf-8")
     assert "soft tissue" in text.replace("_", " ")
     assert "PHANTOM" in text.upper()
+    assert 'href="model.xml"' in text

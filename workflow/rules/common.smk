@@ -26,7 +26,7 @@ from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
-from real2sim.phantom.suite.plan import case_names, shards
+from real2sim.phantom.suite.plan import case_names, expected_time, shards
 from real2sim.provenance import fingerprint
 from real2sim.subjects import discover, require_operating_point
 
@@ -161,9 +161,6 @@ def operating_point(wildcards, kind):
     return f"results/trials/{wildcards.subject}/{trial}/pose.parquet"
 
 
-def known_before_diagnosis(wildcards):
-    """Joint limits and step study where the sweeps at T* were recorded; a diagnosis goes without them."""
-    name = wildcards.subject
-    if not PEOPLE[name].has_limits:
-        return {}
-    return {"limits": f"results/limits/{name}.json", "step": f"results/plant/{name}.json"}
+def where_limits_are_known(wildcards, stage):
+    """results/<stage>/<SUBJECT>.json where the sweeps at T* were recorded, else nothing: a diagnosis goes without."""
+    return f"results/{stage}/{wildcards.subject}.json" if PEOPLE[wildcards.subject].has_limits else []

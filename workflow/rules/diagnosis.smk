@@ -2,8 +2,10 @@
 
 Inputs:  canonical tables of neutral and of two dynamic trials and their gates, the robot twin; joint limits and step
          study where the sweeps at T* were recorded.
-Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html; results/diagnosis/diagnosis.csv.
-Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; page; table.
+Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html, model.xml, model.json,
+         model_replay.csv; results/diagnosis/diagnosis.csv.
+Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; the diagnosed
+         model as MJCF; page; table.
          A person with one dynamic trial has none to be judged on and is left out. A trial that a gate refuses is
          diagnosed all the same (what the gate saw may be the cause), and the answer names the gate.
 """
@@ -16,12 +18,12 @@ rule diagnosis:
     input:
         "results/diagnosis/diagnosis.csv",
         expand("results/diagnosis/{subject}/diagnosis.html", subject=DIAGNOSED),
+        expand("results/diagnosis/{subject}/model.xml", subject=DIAGNOSED),
 
 
 rule diagnose:
     """Where the gap lies, which effect causes it and how far it shrinks, for one person."""
     input:
-        unpack(known_before_diagnosis),
         train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
         held_out=lambda wildcards: poses_of(wildcards.subject, "dynamic")[1],
         neutral="results/trials/{subject}/neutral/markers.parquet",
@@ -29,6 +31,8 @@ rule diagnose:
             f"results/quality/{wildcards.subject}/{trial}.json"
             for trial in ("neutral", *PEOPLE[wildcards.subject].trials_of("dynamic")[:2])
         ],
+        limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
+        step=lambda wildcards: where_limits_are_known(wildcards, "plant"),
         robot=ROBOT,
         lock="environment-lock.txt",
     output:
@@ -48,12 +52,9 @@ rule diagnose:
         train=lambda wildcards, input: Path(input.train).parent,
         held_out=lambda wildcards, input: Path(input.held_out).parent,
         neutral=lambda wildcards, input: Path(input.neutral).parent,
-        known=lambda wildcards, input: [
-            word
-            for name in ("limits", "step")
-            if name in input.keys()
-            for word in (f"--{name}", str(input[name]))
-        ],
+        known=lambda wildcards, input: (
+            ["--limits", input.limits, "--step", input.step] if input.limits else []
+        ),
         settings=DIAGNOSIS_SETTINGS,
         code=code("diagnose"),
     shell:
@@ -61,6 +62,40 @@ rule diagnose:
         " --held-out {params.held_out:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
         " 2>&1 | tee {log:q}"
+
+
+rule diagnosis_model:
+    """The diagnosed model as an MJCF for the next simulation, and what of the diagnosis is no part of it."""
+    input:
+        answer="results/diagnosis/{subject}/diagnosis.json",
+        train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
+        robot=ROBOT,
+        lock="environment-lock.txt",
+    output:
+        model="results/diagnosis/{subject}/model.xml",
+        notes="results/diagnosis/{subject}/model.json",
+        replay="results/diagnosis/{subject}/model_replay.csv",
+    log:
+        "logs/diagnosis/{subject}_model.log",
+    benchmark:
+        "logs/benchmarks/diagnosis/{subject}_model.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=800,
+        runtime=10,
+    params:
+        train=lambda wildcards, input: Path(input.train).parent,
+        neutral=lambda wildcards, input: Path(input.neutral).parent,
+        known=lambda wildcards, input: ["--limits", input.limits] if input.limits else [],
+        code=code("diagnosis-model"),
+    shell:
+        "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --train {params.train:q}"
+        " --neutral {params.neutral:q} {params.known:q} --robot {input.robot:q} --out {output.model:q}"
+        " --notes {output.notes:q} --replay {output.replay:q} 2>&1 | tee {log:q}"
 
 
 rule diagnosis_page:

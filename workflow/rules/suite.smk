@@ -3,12 +3,19 @@
 Inputs:  the suite's configuration (config key `suite`), config/phantom.yaml, the robot twin.
 Outputs: results/suite/<SUITE>/raw/<CASE>/*, results/suite/<SUITE>/sealed/<SHARD>.json (truth: only the score may read
          it), results/suite/<SUITE>/cases/<CASE>/diagnosis.json, answers/<SHARD>.json and score.json.
+         How long it will take is said before anything runs.
 Steps:   one job per shard draws, simulates and writes its cases, one answers them; the score opens the seal. Nothing of
          the study asks for them.
 """
 
 SUITE = suite_settings()
 SUITE_SHARDS = [f"{shard:03d}" for shard in range(shards(SUITE))] if SUITE else []
+
+# Targets are not known to a Snakefile that is being read, but what was typed is
+_ASKED = any(word == "suite" or word.startswith("results/suite") for word in sys.argv[1:])
+if SUITE and _ASKED and workflow.is_main_process:
+    _cores = workflow.resource_settings.cores or 1
+    print(expected_time(SUITE, Path("results/suite"), _cores), file=sys.stderr, flush=True)
 
 for _shard in SUITE_SHARDS:
 

@@ -290,13 +290,11 @@ class Maxwell:
         _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
 
     def set(self, fields, where, parameters, values):
-        """Stiffness, damping, and an inertia that the step bears and nobody notices."""
+        """Stiffness and damping. The slide needs no inertia: its damping is implicit."""
         name = f"maxwell_{where.element}"
         dof = int(fields.model.joint(name).dofadr[0])
-        stiffness, damping = values[:, 0], values[:, 0] * values[:, 1]
-        fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
-        fields["dof_damping"][:, dof] = damping
-        fields["dof_armature"][:, dof] = 0.02 * np.abs(damping) * fields.model.opt.timestep
+        fields["tendon_stiffness"][:, fields.tendon(name)] = values[:, 0]
+        fields["dof_damping"][:, dof] = values[:, 0] * values[:, 1]
 
 
 class Coupling:
@@ -593,19 +591,19 @@ def _ratchet(values, context, where, parameters):
 
 
 def _bouc_wen(values, context, where, parameters):
-    # z' = (v / travel) (1 - |z| (b + (1 - b) sgn(v z))), F = -force z, along the measured coordinate
-    q = context.coordinates[:, where.axes[0]]
-    force, travel, shape = values.T
+    # z' = k v - b |v| z - g v |z|, F = -z, along the measured coordinate; k - (b + g) |z| is its slope while it is
+    # loaded, k + (b - g) |z| while it is relieved; it takes energy for b > 0
+    q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+    stiffness, loading, dissipation = values.T
     z = np.zeros((len(values), len(q)))
-    for i in range(1, len(q)):
-        step, last = (q[i] - q[i - 1]) / travel, z[:, i - 1]
+    for i, way in enumerate(np.diff(q)):
+        step, last = stiffness * way, z[:, i]
         # linear in z while the signs last: each step is exact for its increment
-        rate = np.where(step * last >= 0, 1.0, 1.0 - 2 * shape) * np.abs(step)
-        decay = np.exp(-rate)
-        gain = np.where(np.abs(rate) > 1e-9, (1 - decay) / np.where(np.abs(rate) > 1e-9, rate, 1.0), 1.0)
-        z[:, i] = last * decay + step * gain
-    out = np.stack([np.interp(context.step_time_s, context.time_s, row) for row in -force[:, None] * z])
-    return out[:, :, None]
+        rate = np.where(step * last >= 0, loading, 2 * dissipation - loading) * abs(way)
+        small = np.abs(rate) < 1e-9
+        gain = np.where(small, 1.0, -np.expm1(-rate) / np.where(small, 1.0, rate))
+        z[:, i + 1] = last * np.exp(-rate) + step * gain
+    return -z[:, :, None]
 
 
 # ---------------------------------------------------------------- the catalogue
@@ -617,7 +615,8 @@ class Effect:
 
     ``scope`` is "axis", "side" (axis and direction), "pair" (of axes) or "whole"; ``forms`` names variants with
     other equations for the same name. ``input_chain`` maps values (p,) and context to a pelvis path; ``output_chain``
-    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths.
+    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths. ``remedy`` says what to do about an effect
+    that cannot be part of a model: chains and planned forces have one.
     """
 
     name: str
@@ -633,6 +632,7 @@ class Effect:
     form: str = ""
     replaces_spring: bool = False
     substeps: int = 1
+    remedy: str = ""
 
     def places(self) -> list[Where]:
         """Everywhere that it can act."""
@@ -721,6 +721,10 @@ class Placed:
 
 def _q(scales: Scales, axis: int) -> float:
     return float(scales.q[axis])
+
+
+def _per_q(scales: Scales, axis: int) -> float:
+    return float(1 / scales.q[axis])
 
 
 def _force(scales: Scales, axis: int) -> float:
@@ -851,16 +855,17 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "hysteresis",
         "interface",
-        "F = f z, z' = (qdot / travel) (1 - |z| (b + (1 - b) sgn(qdot z))) (Bouc-Wen)",
+        "F = z, z' = k qdot - b |qdot| z - g qdot |z|, loading = b + g, dissipation = b (Bouc-Wen, exponent 1)",
         (
-            _FRICTION,
-            EffectParameter("travel", "m|rad", 0.04, 2.0, (0.1, 0.5), _q, log=True),
-            EffectParameter("shape", "1", 0.5, 1.0, (0.7,)),
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 50.0, (0.5, 0.6), _k, log=True),
+            EffectParameter("loading", "1/m|1/rad", -1.5, 25.0, (10.0, 2.0), _per_q),
+            EffectParameter("dissipation", "1/m|1/rad", 0.0, 12.5, (3.0, 0.6), _per_q),
         ),
         "V",
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=PlannedForce(_bouc_wen),
         form="_bouc_wen",
+        remedy="Add a force -z to the strap joint, z stepped with the rate qdot by the equation, from z = 0",
     ),
     Effect(
         "relaxation",
@@ -898,6 +903,10 @@ EFFECTS: tuple[Effect, ...] = (
         _STAND,
         scope="side",
         plant=PlannedForce(_ratchet),
+        remedy=(
+            "Add a force k r to the strap joint on its side, k its stiffness: r follows q - threshold at the rate"
+            " while the strap is beyond it, and never returns"
+        ),
     ),
     Effect(
         "cross_coupling",
@@ -1005,6 +1014,9 @@ EFFECTS: tuple[Effect, ...] = (
         "the same motion with the controller off",
         scope="whole",
         plant=PlannedForce(_reaction, ROBOT_JOINTS[:2]),
+        remedy=(
+            "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed"
+        ),
     ),
     Effect(
         "tilt",
@@ -1015,6 +1027,7 @@ EFFECTS: tuple[Effect, ...] = (
         "turning in place",
         scope="whole",
         plant=PlannedForce(_tilt, ROBOT_JOINTS[:2]),
+        remedy="Add to base_x and base_y a constant force: slope times 9.81 m/s2 times the robot's mass",
     ),
     Effect(
         "soft_tissue",
@@ -1028,6 +1041,10 @@ EFFECTS: tuple[Effect, ...] = (
         "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
         scope="whole",
         input_chain=_soft_tissue,
+        remedy=(
+            "Correct the pelvis before it is replayed: with v its rotation vector from the start pose, take from its"
+            " position R (shift v) and from its rotation the vector turn v, both in the pelvis' frame"
+        ),
     ),
     Effect(
         "lab_yaw",
@@ -1039,6 +1056,8 @@ EFFECTS: tuple[Effect, ...] = (
         scope="whole",
         plant=TurnedBack(),
         input_chain=_turned_motion,
+        remedy="Turn the pelvis' markers of all trials by minus the yaw about the vertical through the lab's origin and"
+        " ingest anew; the strap's axes of this model are turned with the path as it was recorded",
     ),
     Effect(
         "replay_lag",
@@ -1049,6 +1068,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         input_chain=_earlier_pelvis,
+        remedy="Replay the pelvis earlier by the lag: what it shows at t happened at t - lag",
     ),
     Effect(
         "sync_offset",
@@ -1059,6 +1079,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         output_chain=_late_markers,
+        remedy="Shift the interface markers earlier by the offset before they are compared with the simulation",
     ),
     Effect(
         "clock_drift",
@@ -1069,6 +1090,7 @@ EFFECTS: tuple[Effect, ...] = (
         _JERK,
         scope="whole",
         output_chain=_drifting_clock,
+        remedy="Read the simulation at (1 + drift) t, t from the start, where the interface markers say t",
     ),
     Effect(
         "filter_lag",
@@ -1079,6 +1101,10 @@ EFFECTS: tuple[Effect, ...] = (
         "fast content near the filter's cut-off",
         scope="whole",
         output_chain=_filtered_markers,
+        remedy=(
+            "Pass the simulated interface markers through a causal Butterworth low-pass of second order with this"
+            " cut-off, or export the markers without the filter"
+        ),
     ),
     Effect(
         "marker_offset",
@@ -1089,6 +1115,10 @@ EFFECTS: tuple[Effect, ...] = (
         "static poses at several headings",
         scope="whole",
         output_chain=_off_site,
+        remedy=(
+            "Take from each interface marker its offset, turned with the interface from the start pose, or move the"
+            " sites interface_left and interface_right by it"
+        ),
     ),
     *(
         Effect(
@@ -1100,6 +1130,7 @@ EFFECTS: tuple[Effect, ...] = (
             "distance between markers at the start and at the end",
             scope="whole",
             output_chain=_drifting_marker(index),
+            remedy="Take from the interface marker the ramp: its rate times the time from the start",
             form=f"{side}",
         )
         for index, side in enumerate(("left", "right"))
@@ -1113,6 +1144,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the same trial, labelled again",
         scope="whole",
         output_chain=_without_spikes,
+        remedy="Label the jumping interface markers again, or leave those samples out",
     ),
 )
 

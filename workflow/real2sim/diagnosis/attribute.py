@@ -203,10 +203,17 @@ def _bounded_step(
     return step, cost
 
 
-def attribute(pair: Pair, start: np.ndarray, settings: dict, progress: Callable[[str], None]) -> Attribution:
+def attribute(
+    pair: Pair,
+    start: np.ndarray,
+    settings: dict,
+    progress: Callable[[str], None],
+    places: Sequence[Placed] | None = None,
+) -> Attribution:
     """Plain fit, then every effect alone, then pairs where one alone leaves more than noise.
 
-    ``start`` (12,) are ln-parameters; ``settings`` is the slice ``diagnosis.search`` of the configuration.
+    ``start`` (12,) are ln-parameters; ``settings`` is the slice ``diagnosis.search`` of the configuration; ``places``
+    are the effects to try, everything everywhere by default.
     """
     search = Search(pair, settings)
     plain = search.fit((), start)
@@ -214,7 +221,7 @@ def attribute(pair: Pair, start: np.ndarray, settings: dict, progress: Callable[
         len(JointResiduals(e, (), pair.bounds).many(plain.z[None])[0]) for e in (pair.train, pair.held_out)
     ]
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
-    singles = search.screen(plain, candidates(pair.train.scales))
+    singles = search.screen(plain, candidates(pair.train.scales) if places is None else places)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
     hypotheses = [search.fit(s.effects, s.start) for s in _shortlist(singles, settings)]

@@ -33,13 +33,18 @@ def _shares(values: dict[str, float]) -> dict[str, float]:
     return {key: (v / total if total > 0 else 0.0) for key, v in positive.items()}
 
 
-def where(evidence: Evidence, paths: np.ndarray, noise: np.ndarray) -> dict[str, Any]:
+def where(
+    evidence: Evidence, paths: np.ndarray, noise: np.ndarray, explained: np.ndarray | None = None
+) -> dict[str, Any]:
     """Split J of simulated paths (n, 2, 3) [m], what noise alone would cost there taken off.
 
     Parameters
     ----------
     noise
         Residuals (draws, n, 6) [m] of a perfect model.
+    explained
+        Simulated paths (n, 2, 3) with the effect that was named. What it changes is the gap without its noise, and
+        parts more surely into regimes than what is left of noise after noise is taken off.
 
     Returns shares that add up to 1 (or are all 0 where J is at its floor): ``sides``, ``terms``, ``world_axes``,
     ``times`` (equal spans), ``bands_hz`` and ``regimes`` (amplitude by speed by phase of the pelvis' motion).
@@ -67,8 +72,17 @@ def where(evidence: Evidence, paths: np.ndarray, noise: np.ndarray) -> dict[str,
             )
         ],
         "bands_hz": _bands(evidence, error, noise),
-        "regimes": _regimes(evidence, both.sum(axis=(1, 2))),
+        "regimes": _regimes(
+            evidence, both.sum(axis=(1, 2)) if explained is None else _change(evidence, paths - explained)
+        ),
     }
+
+
+def _change(evidence: Evidence, difference: np.ndarray) -> np.ndarray:
+    """What J would be of a difference (n, 2, 3) [m] of paths alone, per sample."""
+    known = np.isfinite(evidence.trial.interface)
+    position, velocity = _energy(evidence, np.where(known, difference, 0.0))
+    return (position + velocity).sum(axis=(1, 2))
 
 
 def _bands(evidence: Evidence, error: np.ndarray, noise: np.ndarray) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,10 @@ Row = dict[str, Any]
 
 # Family of each effect: where another equation of the same family is the truth, its name is right
 LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
+# A regime of four holds the gap where it holds more than it would if the gap were everywhere alike
+_REGIME_SHARE = 0.25
+# An effect is diagnosable at a visibility at which so many of its cases are named first
+_DIAGNOSABLE = 0.8
 
 
 def _truth_names(case: Row) -> list[str]:
@@ -94,7 +99,7 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
             "per_effect": _per_effect(by["in_library"]),
             "calibration": _calibration(rows),
             "gap_closed": [g for r in by["in_library"] if (g := _gap_closed(r)) is not None],
-            "baselines": _baselines(by["in_library"], nulls),
+            "baselines": _baselines(rows, by),
             "time_s": {
                 "median": float(np.median([r["seconds"] for r in rows])),
                 "max": float(np.max([r["seconds"] for r in rows])),
@@ -130,6 +135,8 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         for r in library
         if r["case"]["effects"][0].get("stage")
     ]
+    regime = [r for r in library if r["case"].get("regimes") and r["answer"]["where"].get("regimes")]
+    f1 = _regime_f1(regime)
     cut = [c for r in library if (c := _parameter_cut(r)) is not None]
     kept = [c for r in nulls if (c := _parameter_cut(r)) is not None]
     calibration = _calibration([r for rows in by.values() for r in rows])
@@ -171,6 +178,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         ),
         _claim("where: stage", stages, ">= 97 %", lambda v: v >= 0.97),
         _claim("where: axis", [_axis_right(r) for r in axes], ">= 95 %", lambda v: v >= 0.95),
+        _figure("where: regime F1", f1, len(regime), ">= 0.85", f1 is not None and f1 >= 0.85),
         _figure(
             "gap closed on the held-out regime, median",
             median,
@@ -225,6 +233,21 @@ def _axis_right(row: Row) -> bool:
     return max(axes, key=lambda a: axes[a]) in row["case"]["effects"][0]["axes"]
 
 
+def _regime_f1(rows: list[Row]) -> float | None:
+    """F1 of the regimes (amplitude by speed) that hold the gap, all cases together."""
+    right = claimed = true = 0
+    for row in rows:
+        shares: dict[str, float] = {}
+        for entry in row["answer"]["where"]["regimes"]:
+            # the answer parts each regime by phase, too
+            name = ", ".join(entry["bin"].split(", ")[:2])
+            shares[name] = shares.get(name, 0.0) + entry["share"]
+        said = {name for name, share in shares.items() if share >= _REGIME_SHARE}
+        is_so = {name for name, share in row["case"]["regimes"].items() if share >= _REGIME_SHARE}
+        right, claimed, true = right + len(said & is_so), claimed + len(said), true + len(is_so)
+    return 2 * right / (claimed + true) if claimed + true else None
+
+
 def _gap_closed(row: Row) -> float | None:
     """Share of the closable gap on the held-out trial that the chosen answer closes."""
     gap = row["answer"]["gap"]
@@ -271,17 +294,49 @@ def _power(rows: list[Row]) -> list[Row]:
 
 
 def _per_effect(rows: list[Row]) -> list[Row]:
+    """Power by effect against visibility, and the smallest visibility and severity at which it is diagnosed."""
+    targets = sorted({r["case"]["visibility"]["target"] for r in rows})
+    edges = [np.sqrt(a * b) for a, b in itertools.pairwise(targets)]
     out = []
     for effect in EFFECT_NAMES:
         own = [r for r in rows if r["names"] == [effect]]
-        if own:
-            right = [r for r in own if r["answer"]["verdict"] == effect]
-            reached = [
-                r["case"]["visibility"]["predicted"] for r in right if r["case"]["visibility"]["predicted"]
-            ]
-            smallest = min(reached) if reached else None
-            out.append({"effect": effect, "n": len(own), "top1": len(right), "smallest_rho": smallest})
+        if not own:
+            continue
+        bins = [_power_bin([r for r in own if _bin_of(r, edges) == i], effect) for i in range(len(edges) + 1)]
+        bins = [b for b in bins if b["n"]]
+        enough = [b for b in bins if b["top1"] >= _DIAGNOSABLE]
+        out.append(
+            {
+                "effect": effect,
+                "n": len(own),
+                "top1": sum(r["answer"]["verdict"] == effect for r in own),
+                "smallest_rho": enough[0]["rho"] if enough else None,
+                "smallest_severity": enough[0]["severity"] if enough else None,
+                "bins": bins,
+            }
+        )
     return out
+
+
+def _bin_of(row: Row, edges: Sequence[float]) -> int:
+    visibility = row["case"]["visibility"]
+    reached = visibility["target"] if visibility["predicted"] is None else visibility["predicted"]
+    return int(np.searchsorted(edges, reached))
+
+
+def _power_bin(rows: list[Row], effect: str) -> Row:
+    """Cases of one effect at about one visibility: medians of visibility and severity, share named first.
+
+    Severity is the share of the largest magnitude that the suite draws.
+    """
+    reached = [v for r in rows if (v := r["case"]["visibility"]["predicted"]) is not None]
+    severity = [v for r in rows if (v := r["case"]["effects"][0].get("severity")) is not None]
+    return {
+        "rho": float(np.median(reached)) if reached else None,
+        "severity": float(np.median(severity)) if severity else None,
+        "n": len(rows),
+        "top1": float(np.mean([r["answer"]["verdict"] == effect for r in rows])) if rows else None,
+    }
 
 
 def _calibration(rows: list[Row]) -> dict[str, Any]:
@@ -322,21 +377,34 @@ def _calibration(rows: list[Row]) -> dict[str, Any]:
     }
 
 
-def _baselines(library: list[Row], nulls: list[Row]) -> list[Row]:
-    """What simpler rules say of the same fits: they are stored with every answer."""
-    names = sorted({name for r in library + nulls for name in r["answer"].get("baselines", {})})
-    out = [{"name": "always none", "top1": 0.0, "false_alarm": 0.0}]
-    for name in names:
-        hits = [r["answer"]["baselines"][name] in r["names"] for r in library]
-        alarms = [r["answer"]["baselines"][name] != NONE for r in nulls]
-        out.append(
-            {
-                "name": name,
-                "top1": float(np.mean(hits)) if hits else 0.0,
-                "false_alarm": float(np.mean(alarms)) if alarms else 0.0,
-            }
-        )
-    return out
+def _baseline(name: str) -> Callable[[Row], str]:
+    return lambda row: str(row["answer"].get("baselines", {}).get(name, NONE))
+
+
+def _baselines(rows: list[Row], by: dict[str, list[Row]]) -> list[Row]:
+    """What simpler rules say of the same fits, which are stored with every answer, beside the diagnosis itself."""
+    names = sorted({name for r in rows for name in r["answer"].get("baselines", {})})
+    rules: dict[str, Callable[[Row], str]] = {
+        "this diagnosis": lambda r: r["answer"]["verdict"],
+        "always none": lambda r: NONE,
+        **{name: _baseline(name) for name in names},
+    }
+    strange = by["out_of_library"]
+    single = [r for r in rows if len(r["names"]) == 1]
+
+    def share(hits: list[bool]) -> float:
+        return float(np.mean(hits)) if hits else 0.0
+
+    return [
+        {
+            "name": name,
+            "top1": share([rule(r) in r["names"] for r in by["in_library"]]),
+            "false_alarm": share([rule(r) != NONE for r in by["null"] + by["null_hard"]]),
+            "wrong_name_out_of_library": share([rule(r) not in (NONE, UNKNOWN) for r in strange]),
+            "right_of_all": share([rule(r) in r["names"] for r in single]),
+        }
+        for name, rule in rules.items()
+    ]
 
 
 def _wrong(row: Row) -> Row:

@@ -16,6 +16,7 @@ from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
+from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.geometry import AXES, INTERFACE_MARKERS
@@ -129,6 +130,7 @@ def diagnose(
         }
         | _answer(pair, attribution, decision)
         | {
+            "model": described(_chosen(attribution, decision), pair.train.scales),
             "settings": settings,
             "provenance": provenance(
                 [*used, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__)
@@ -137,9 +139,13 @@ def diagnose(
     )
 
 
+def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
+    return attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+
+
 def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decision: Decision) -> None:
     """Measured and simulated interface markers of the held-out trial [m, world]."""
-    best = attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+    best = _chosen(attribution, decision)
     paths = {
         "measured": evidence.trial.interface,
         "plain": _paths(evidence, attribution.plain),
@@ -189,7 +195,7 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
             "stages": stages,
             "axes": _axes(best, axis_shares(held_out, paths["plain"], noise)),
         }
-        | where(held_out, paths["plain"], noise),
+        | where(held_out, paths["plain"], noise, None if decision.chosen is None else paths["best"]),
         "causes": ranked,
         "considered": _considered(attribution, decision),
         "probabilities": decision.probabilities,
@@ -197,7 +203,7 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
         "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
         "ambiguity_group": list(decision.group),
         "next_trial": next_trial(decision),
-        "baselines": _baselines(attribution),
+        "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),
         "parameters": {
             name: {"base": float(a), "with_effect": float(b), "unit": unit(name)}
             for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
@@ -236,6 +242,21 @@ def _baselines(attribution: Attribution) -> dict[str, str]:
         "BIC": least(lambda h: h.chi2[0] + np.log(n) * (len(h.z) - 12)),
         "held out, no gate": least(lambda h: h.chi2[1]),
     }
+
+
+def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str, str]:
+    """What rules say that take every sample of J for a measurement of its own, from the training trial."""
+    fits = [attribution.plain, *(h for h in attribution.hypotheses if len(h.effects) == 1)]
+    j = np.array([evidence.cost(_paths(evidence, h)[None]).total[0] for h in fits])
+    free = np.array([len(h.z) for h in fits])
+    n = 6 * evidence.cost.samples / 2
+    scores = {
+        "training J": j,
+        "AIC, independent noise": n * np.log(j) + 2 * free,
+        "BIC, independent noise": n * np.log(j) + np.log(n) * free,
+    }
+    names = [h.names[0] if h.names else NONE for h in fits]
+    return {rule: names[int(np.nanargmin(score))] for rule, score in scores.items()}
 
 
 def _paths(evidence: Evidence, hypothesis: Hypothesis) -> np.ndarray:

@@ -99,6 +99,7 @@ def diagnosis_page(*, diagnosis: Path, traces: Path, out: Path) -> None:
         _how_far(d, _traces(traces)),
         _parameters(d),
         _next(d),
+        *([_model(d)] if "model" in d else []),
         _foot(d),
     ]
     write_text(out, document(f"Diagnosis of {d['subject']}", body, phantom=d["phantom"]))
@@ -718,6 +719,21 @@ def _next(d: Mapping[str, Any]) -> str:
         group = f"No other effect that leaves the same trace as {_words(d['verdict'])} is still likely."
     trial = f"The next trial: {_trial(d)}."
     return section("next", "What cannot be told apart, and the next trial", paragraph(f"{group} {trial}"))
+
+
+def _model(d: Mapping[str, Any]) -> str:
+    """Where the model for the next simulation is."""
+    names = dict.fromkeys(entry["effect"] for entry in d["model"]["effects"])
+    what = (
+        f"with {_listed(list(names))}" if names else "without an effect: the plain plant with the plain fit"
+    )
+    return section(
+        "model",
+        "The model for the next simulation",
+        f'<p><a href="model.xml">model.xml</a> is robot and interface {escape(what)}, in a file of its own that MuJoCo '
+        'loads; <a href="model.json">model.json</a> says what of the diagnosis is no part of a model and what to do '
+        'about it; <a href="model_replay.csv">model_replay.csv</a> replays the training trial with it.</p>',
+    )
 
 
 def _foot(d: Mapping[str, Any]) -> str:

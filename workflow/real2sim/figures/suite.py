@@ -41,7 +41,6 @@ _KEYS = (
     "baselines",
     "time_s",
 )
-_NONE, _UNKNOWN = "none", "unknown"
 _GAP_RANGE = (-0.5, 1.5)  # of the histogram; what lies beyond is counted in its outer bins
 _DASH = "\N{EN DASH}"
 
@@ -135,32 +134,23 @@ def _targets(s: Mapping[str, Any]) -> str:
     )
 
 
-def _own(confusion: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Top-1 on cases with an effect, and how often one is named where there is none; None where either has no cases."""
-    labels, counts = confusion["labels"], np.array(confusion["counts"], dtype=float)
-    causes = [i for i, label in enumerate(labels) if label not in (_NONE, _UNKNOWN)]
-    if _NONE not in labels or not causes:
-        return None
-    null = counts[labels.index(_NONE)]
-    cases, empty = counts[causes].sum(), null.sum()
-    if not cases or not empty:
-        return None
-    return float(counts[causes, causes].sum() / cases), float(null[causes].sum() / empty)
-
-
 def _baselines(s: Mapping[str, Any]) -> str:
     if not s["baselines"]:
         return _missing("baselines")
-    rows = [[escape(b["name"]), percent(b["top1"], 1), percent(b["false_alarm"], 1)] for b in s["baselines"]]
-    own = _own(s["confusion"])
-    if own is not None:
-        rows.insert(0, ["<em>this diagnosis, all cases below</em>", percent(own[0], 1), percent(own[1], 1)])
+    columns = {
+        "top1": "Top-1",
+        "false_alarm": "False alarm",
+        "wrong_name_out_of_library": "Wrong name, out of library",
+        "right_of_all": "Right, all with one answer",
+    }
+    shown = [key for key in columns if key in s["baselines"][0]]
+    rows = [[escape(b["name"]), *(percent(b.get(key), 1) for key in shown)] for b in s["baselines"]]
     return table(
-        ["Way to decide", "Top-1", "False alarm"],
+        ["Way to decide", *(columns[key] for key in shown)],
         rows,
-        caption="Baselines on the same cases. The diagnosis' own row is counted from the matrix below, at every "
-        "visibility: top-1 where an effect was put in, false alarm where none was and one was named.",
-        numeric=(1, 2),
+        caption="Baselines on the same cases and fits, at every visibility: top-1 where an effect of the library was "
+        "put in, false alarm where none was and one was named.",
+        numeric=tuple(range(1, len(shown) + 1)),
     )
 
 
@@ -240,15 +230,17 @@ def _power(s: Mapping[str, Any]) -> str:
             str(e["n"]),
             f"{e['top1']} ({percent(e['top1'] / e['n'])})" if e["n"] else _DASH,
             rounded(e["smallest_rho"]),
+            percent(e.get("smallest_severity")),
         ]
         for e in s["per_effect"]
     ]
     each = (
         table(
-            ["Effect", "Cases", "Top-1", "Smallest ρ"],
+            ["Effect", "Cases", "Top-1", "Smallest ρ", "Severity"],
             rows,
-            caption="Per effect, with the smallest visibility at which it is diagnosed; a dash: at none of the suite.",
-            numeric=(1, 2, 3),
+            caption="Per effect, with the smallest visibility at which at least 80 % of its cases are named first, and "
+            "the severity there (share of the largest that is drawn; medians); a dash: at none of the suite.",
+            numeric=(1, 2, 3, 4),
         )
         if rows
         else _missing("figures per effect")

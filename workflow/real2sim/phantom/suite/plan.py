@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import math
+import statistics
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +56,9 @@ GROUPS = (
     ("outliers",),
 )
 
+# Seconds that a case took to write and to answer on one core of a 2-core machine, where nothing was measured yet
+WRITE_S, ANSWER_S = 5.0, 40.0
+
 STRATA = ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
 
 
@@ -74,6 +81,43 @@ def case_names(suite: dict[str, Any], shard: int) -> list[str]:
     """Names of the cases of one shard, counted from 0."""
     size, total = suite["shard_cases"], sum(suite["cases"].values())
     return [f"C{i + 1:04d}" for i in range(shard * size, min((shard + 1) * size, total))]
+
+
+def expected_time(suite: dict[str, Any], results: Path, cores: int) -> str:
+    """How long a suite will take, in one line: from the answers that any suite has given on this machine.
+
+    ``results`` is results/suite. Cases that have been answered already cost nothing more.
+    """
+    total = sum(suite["cases"].values())
+    # a job per shard: a core that has no shard of its own stands still
+    busy = max(1, min(cores, shards(suite)))
+    times = [_seconds(path) for path in results.glob("*/cases/*/seconds.json")]
+    known = [t for t in times if t is not None]
+    answer = statistics.median(known) if known else ANSWER_S
+    own = results / suite["name"]
+    answered = sum(
+        1
+        for i in range(shards(suite))
+        for c in case_names(suite, i)
+        if (own / "cases" / c / "seconds.json").exists()
+    )
+    written = sum(
+        len(case_names(suite, i)) for i in range(shards(suite)) if (own / "sealed" / f"{i:03d}.json").exists()
+    )
+    left = ((total - answered) * answer + (total - written) * WRITE_S) / busy
+    source = f"measured on {len(known)} cases here" if known else "measured on a 2-core machine"
+    return (
+        f"suite {suite['name']}: {total} cases in {shards(suite)} shards, {answered} answered already; about"
+        f" {answer + WRITE_S:.0f} s a case ({source}), {busy} at a time: about {math.ceil(left / 60)} min left."
+        " It can be stopped at any time: the same command goes on."
+    )
+
+
+def _seconds(path: Path) -> float | None:
+    try:
+        return float(json.loads(path.read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError):
+        return None
 
 
 def stream(suite: dict[str, Any], *names: str) -> np.random.Generator:

@@ -45,7 +45,10 @@ _NOISY = 3  # replays with noise, for the floor
 
 @dataclass
 class _Cause:
-    """One effect of a case: its form, the draw of it, the severity found, and the gap it makes alone."""
+    """One effect of a case: its form, the draw of it, the severity found, and the gap it makes alone.
+
+    ``left`` holds, per severity, the residual on the held-out trial that the refitted base leaves.
+    """
 
     form: Form
     name: str
@@ -55,6 +58,7 @@ class _Cause:
     moved: np.ndarray = field(default_factory=lambda: np.zeros(12))
     search: Search | None = None
     candidates: list[Draw] = field(default_factory=list)
+    left: dict[float, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -75,6 +79,7 @@ class _Synthetic:
     about: Context | None = None
     refit: Refit | None = None
     rho: float | None = None
+    left: np.ndarray | None = None
 
     @property
     def target(self) -> float:
@@ -349,6 +354,7 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
         pick = able[0] if able else int(np.argmax(found))
         cause.draw, cause.moved = cause.candidates[pick], tried[pick].moved
         cause.rho = found[pick]
+        cause.left = {1.0: tried[pick].held_out}
     _settle(world, jobs, options)
     say("severity: largest of each")
     for p in people:
@@ -374,9 +380,9 @@ def _solve(world: _World, people: list[_Synthetic], say) -> None:
     together = _gaps(world, mixed, [_applied(p) for p in mixed], starts) if mixed else []
     for p in people:
         if p.causes:
-            p.rho = p.causes[0].rho
+            p.rho, p.left = p.causes[0].rho, p.causes[0].left[p.causes[0].severity]
     for p, fit in zip(mixed, together, strict=True):
-        p.rho = fit.visibility()
+        p.rho, p.left = fit.visibility(), fit.held_out
 
 
 def _settle(world: _World, jobs: list[tuple[_Synthetic, _Cause]], options: dict[str, Any]) -> None:
@@ -425,8 +431,8 @@ def _alone(world: _World, asked: _Asked, starts: list[np.ndarray] | None = None)
 def _again(world: _World, asked: _Asked) -> None:
     """Refit from where the cause's last refit ended, with tangents of that place; the cause keeps what it finds."""
     fits = _alone(world, asked, [cause.moved for _, cause, _, _ in asked])
-    for (_, cause, _, _), fit in zip(asked, fits, strict=True):
-        cause.moved, cause.rho = fit.moved, fit.visibility()
+    for (_, cause, _, severity), fit in zip(asked, fits, strict=True):
+        cause.moved, cause.rho, cause.left[severity] = fit.moved, fit.visibility(), fit.held_out
 
 
 Applied = list[tuple[Form, dict[str, Any]]]
@@ -661,16 +667,41 @@ def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.nda
     facts = {"id": person.name, "phantom": True, **person.facts}
     text = f"# {exports.NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
     write_text(folder / "subject.yaml", text)
-    return _truth(p, notes)
+    return _truth(
+        p, notes, None if p.left is None else regimes(p.left, *(true[t].paths for t in (TRAIN, HELD_OUT)))
+    )
 
 
-def _truth(p: _Synthetic, notes: dict[str, Any]) -> dict[str, Any]:
+def regimes(left: np.ndarray, train: TruePaths, held_out: TruePaths) -> dict[str, float]:
+    """Share of a gap by regime of the interface's motion: amplitude and speed, each above or below its median.
+
+    ``left`` is a residual without noise (`measurement.residual`) of the held-out trial. Amplitude and speed are norms
+    of q and of its rate, each axis over its large excursion (95th percentile) in the training trial.
+    """
+    m = (len(left) + 12) // 12
+    energy = np.sum(left[: 6 * m].reshape(m, 6) ** 2, axis=1)
+    energy[1:-1] += np.sum(left[6 * m :].reshape(m - 2, 6) ** 2, axis=1)
+    large = np.maximum(np.percentile(np.abs(train.q), 95, axis=0), 1e-6)
+    amplitude, speed = (np.linalg.norm(x[:m] / large, axis=1) for x in (held_out.q, held_out.qd))
+    far, fast = amplitude > np.median(amplitude), speed > np.median(speed)
+    total = max(float(energy.sum()), 1e-300)
+    return {
+        f"{'large' if a else 'small'} amplitude, {'fast' if v else 'slow'}": float(
+            energy[(far == a) & (fast == v)].sum() / total
+        )
+        for a in (True, False)
+        for v in (True, False)
+    }
+
+
+def _truth(p: _Synthetic, notes: dict[str, Any], shares: dict[str, float] | None) -> dict[str, Any]:
     assert p.refit is not None
     return {
         "id": p.case.id,
         "stratum": p.case.stratum,
         "effects": [_cause_truth(p, cause) for cause in p.causes],
         "visibility": {"target": p.case.target, "predicted": p.rho},
+        "regimes": shares,
         "floor": {TRAIN: p.refit.floor_train, HELD_OUT: p.refit.floor_held_out},
         "parameters": {
             name: {"value": value, "unit": UNITS[name]} for name, value in p.person.parameters.items()

@@ -1,0 +1,143 @@
+"""The diagnosed model as MJCF: plain MuJoCo loads it, and it moves as the model that was diagnosed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from real2sim.coupling.effects import EFFECTS, Placed, PlannedForce
+from real2sim.coupling.export import baked, to_mjcf
+from real2sim.coupling.superset import EffectReplay
+from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
+from real2sim.diagnosis.refit import Hypothesis
+
+from tests.unit.test_coupling import PRIOR, ROBOT
+from tests.unit.test_diagnosis import SCALES, replay
+
+LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
+
+
+def named(name: str, form: str = "", place: int = 0) -> Placed:
+    effect = next(e for e in EFFECTS if (e.name, e.form) == (name, form))
+    return Placed(effect, effect.places()[place], LOOSE)
+
+
+def acting(placed: list[Placed]) -> tuple[EffectReplay, np.ndarray]:
+    model = replay(placed)
+    paths, _ = model.run_effects(PRIOR[None], [p.starts()[-1:] for p in placed])
+    return model, paths[0]
+
+
+def in_plain_mujoco(file: Path, control: np.ndarray) -> np.ndarray:
+    """Interface sites (nstep, 2, 3) of a file, from its keyframe."""
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    adr = model.sensor("position_interface_left").adr[0]
+    out = np.empty((len(control), 6))
+    for i, u in enumerate(control):
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+        out[i] = data.sensordata[adr : adr + 6]
+    return out.reshape(-1, 2, 3)
+
+
+PLANT = [e for e in EFFECTS if e.plant is not None]
+
+
+@pytest.mark.parametrize("effect", PLANT, ids=lambda e: f"{e.name}{e.form}")
+def test_the_file_moves_as_the_model_in_process(effect, tmp_path):
+    model, paths = acting([named(effect.name, effect.form)])
+    plain = replay([]).run_effects(PRIOR[None], [])[0][0]
+    assert np.abs(paths - plain).max() > 1e-5 or effect.name == "misalignment"
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(
+        to_mjcf(
+            baked(model, simulated),
+            simulated,
+            ["-- header --"],
+            {"note": "the person's < & \" strap"},
+            {"k_tx": 1 / 3},
+        )
+    )
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(model.sites()[:: model.stride], paths)
+    loaded = mujoco.MjModel.from_xml_path(str(file))
+    assert loaded.numeric("k_tx").data[0] == 1 / 3
+    assert loaded.ntext == 1
+    assert bytes(loaded.text_data).rstrip(b"\0").decode() == "the person's < & \" strap"
+    assert "include" not in file.read_text()
+
+
+def test_several_effects_at_half_the_step_survive_too(tmp_path):
+    placed = [named("lugre"), named("relaxation", place=1), named("slack", place=2), named("base_compliance")]
+    model, paths = acting(placed)
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    np.testing.assert_allclose(
+        in_plain_mujoco(file, simulated.control)[:: model.stride], paths, rtol=0, atol=1e-6
+    )
+
+
+def test_a_robot_with_shapes_needs_no_file_of_theirs(tmp_path, monkeypatch):
+    own = tmp_path / "own.xml"
+    text = ROBOT.read_text()
+    inertial = '<inertial pos="0 0 0" mass="3" diaginertia="0.03 0.03 0.03"/>'
+    assert inertial in text
+    own.write_text(text.replace(inertial, '<geom type="box" size="0.05 0.2 0.05" mass="3"/>'))
+    monkeypatch.setattr("tests.unit.test_diagnosis.ROBOT", own)
+    model, paths = acting([named("slack")])
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    assert mujoco.MjModel.from_xml_path(str(file)).ngeom == 0
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
+
+
+def test_a_field_without_an_element_is_an_error():
+    model, _ = acting([named("slack")])
+    simulated = model.as_simulated()
+    simulated.model.dof_solref[0, 0] = 0.5
+    with pytest.raises(ValueError, match="dof_solref"):
+        baked(model, simulated)
+
+
+def test_a_text_that_gives_another_model_is_an_error():
+    model, _ = acting([named("slack")])
+    simulated = model.as_simulated()
+    spec = baked(model, simulated)
+    spec.joint("base_x").stiffness = [151.0, 0, 0]
+    with pytest.raises(ValueError, match="jnt_stiffness"):
+        to_mjcf(spec, simulated, [], {}, {})
+
+
+def test_what_is_no_model_says_what_to_do_instead():
+    for effect in EFFECTS:
+        assert (kind(effect) == NATIVE) == (not effect.remedy)
+        assert (kind(effect) == PLANNED) == isinstance(effect.plant, PlannedForce)
+        assert (kind(effect) == CHAIN) == bool(effect.input_chain or effect.output_chain)
+
+
+def test_a_set_of_effects_is_read_as_it_was_written():
+    placed = (
+        named("joint_limit", place=3),
+        named("cross_coupling", "_viscous", place=4),
+        named("marker_drift", "left"),
+    )
+    z = np.concatenate([np.log(PRIOR), *(p.starts()[0] + 0.01 for p in placed)])
+    written = json.loads(json.dumps(described(Hypothesis(placed, z, (1.0, 1.0)), LOOSE)))
+    again, x = effects_of(written, Path("diagnosis.json"))
+    assert [p.key for p in again] == [p.key for p in placed]
+    for p, q, values in zip(placed, again, x, strict=True):
+        assert p.effect is q.effect
+        assert p.where == q.where
+        np.testing.assert_array_equal(p.values(values[None]), q.values(values[None]))
+    np.testing.assert_array_equal(np.concatenate(x), z[12:])

@@ -1,0 +1,251 @@
+"""The diagnosed model as an MJCF that any MuJoCo loads, and in words what of the diagnosis is no part of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from real2sim.artefacts import read_json, write_json, write_table
+from real2sim.coupling.effects import EFFECTS, Effect, Placed, PlannedForce, Scales, Where
+from real2sim.coupling.export import START_KEY, baked, to_mjcf
+from real2sim.coupling.plant import INTERFACE_SITES
+from real2sim.coupling.superset import EffectReplay, Simulated
+from real2sim.diagnosis.evidence import load_evidence, marker_noise
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.errors import InputError
+from real2sim.files import write_text
+from real2sim.geometry import AXES
+from real2sim.identification.parameters import PARAMETERS
+from real2sim.provenance import fingerprint, provenance
+
+_SCALES = ("q", "v", "k", "d", "inertia")
+_PACKAGES = ["mujoco", "numpy", "scipy"]
+_NOTICE = "PHANTOM: made from synthetic data. It describes no person."
+NATIVE, PLANNED, CHAIN = "in the model", "planned force, not in the model", "not a model"
+
+
+def described(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
+    """Everything that makes a fitted set of effects again: the entry ``model`` of diagnosis.json."""
+    return {
+        "effects": [
+            {
+                "effect": placed.effect.name,
+                "form": placed.effect.form,
+                "axes": placed.axes,
+                "side": placed.where.side,
+                "searched": x.tolist(),
+                "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
+            }
+            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True)
+        ],
+        "scales": {name: getattr(scales, name).tolist() for name in _SCALES},
+    }
+
+
+def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[np.ndarray]]:
+    """Effects at their places and their searched numbers (p,), from the entry ``model`` of diagnosis.json.
+
+    Raises
+    ------
+    InputError
+        Where the catalogue has no such effect (any more).
+    """
+    scales = Scales(**{name: np.array(model["scales"][name]) for name in _SCALES})
+    placed, x = [], []
+    for entry in model["effects"]:
+        where = tuple(AXES.index(axis) for axis in entry["axes"])
+        found = [e for e in EFFECTS if (e.name, e.form) == (entry["effect"], entry["form"])]
+        if not found or len(found[0].parameters) != len(entry["searched"]):
+            raise InputError(
+                source,
+                "model.effects",
+                f"{entry['effect']}{entry['form']} with {len(entry['searched'])} parameters",
+                "an effect of the catalogue (coupling/effects.py)",
+                "Run the diagnosis again.",
+            )
+        effect = found[0]
+        placed.append(Placed(effect, Where(where, entry["side"], effect.form, effect.name), scales))
+        x.append(np.array(entry["searched"], float))
+    return placed, x
+
+
+def kind(effect: Effect) -> str:
+    """Whether an effect is part of a model, a force that is planned for it, or about what goes in and comes out."""
+    if effect.input_chain or effect.output_chain:
+        return CHAIN
+    return PLANNED if isinstance(effect.plant, PlannedForce) else NATIVE
+
+
+def export_model(
+    *,
+    diagnosis: Path,
+    train: Path,
+    neutral: Path,
+    robot: Path,
+    out: Path,
+    notes: Path,
+    replay: Path,
+    limits: Path | None = None,
+) -> None:
+    """Write the diagnosed model of one person: MJCF, what is no part of it, and a trial to check it with.
+
+    Parameters
+    ----------
+    diagnosis
+        diagnosis.json.
+    train, neutral
+        Folders of canonical tables of the training trial and of neutral.
+    limits
+        Joint limits of the person, where they exist.
+    out
+        model.xml: robot and interface with the corrected parameters and the effects, alone in its file.
+    notes
+        model.json: verdict, parameters, each effect with its status (in the model or not) and what to do about it.
+    replay
+        CSV of the training trial at the model's steps: controls by actuator, and where the interface sites then are
+        [m, world].
+    """
+    answer = read_json(
+        diagnosis, ("subject", "verdict", "verdict_set", "parameters", "model", "settings", "phantom")
+    )
+    settings = answer["settings"]
+    noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    evidence = load_evidence(
+        folder=train, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise
+    )
+    effects, x = effects_of(answer["model"], diagnosis)
+    evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
+    parameters = np.array([answer["parameters"][name]["with_effect"] for name in PARAMETERS])
+    model = evidence.replay(effects, 1)
+    model.run_effects(parameters[None], [part[None] for part in x])
+    simulated = model.as_simulated()
+    about = [_about(placed, part) for placed, part in zip(effects, x, strict=True)]
+    sources = provenance([diagnosis, robot, *([limits] if limits else [])], _PACKAGES, fingerprint(__name__))
+    text = to_mjcf(
+        baked(model, simulated),
+        simulated,
+        _header(answer, about, train.name, replay.name),
+        _texts(answer, about, sources),
+        {name: float(value) for name, value in zip(PARAMETERS, parameters, strict=True)},
+    )
+    write_text(out, text)
+    write_json(notes, _notes(answer, about, train.name) | {"provenance": sources})
+    _write_replay(replay, model, simulated)
+
+
+def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
+    effect = placed.effect
+    return {
+        "effect": effect.name,
+        "form": effect.form.strip("_"),
+        "status": kind(effect),
+        "axes": placed.axes,
+        "side": placed.where.side,
+        "equation": effect.equation,
+        "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
+        "remedy": effect.remedy or None,
+    }
+
+
+def _verdict(answer: dict[str, Any]) -> str:
+    if answer["verdict"] == "none":
+        return "none: no effect stands out of the noise; this is the plain plant with the plain fit"
+    if answer["verdict"] == "unknown":
+        return (
+            "unknown: there is a gap that no effect of the catalogue explains; this is the plain plant with the plain"
+            " fit, and it does not close the gap"
+        )
+    names = " with ".join(answer["verdict_set"])
+    return f"{names} (probability of {answer['verdict']} {answer['probabilities'][answer['verdict']]:.2f})"
+
+
+def _value(name: str, about: dict[str, Any]) -> str:
+    unit = "" if about["unit"] == "1" else f" {about['unit']}"
+    return f"{name} = {about['value']!r}{unit}"
+
+
+def _line(about: dict[str, Any]) -> str:
+    values = ", ".join(_value(k, v) for k, v in about["parameters"].items())
+    place = " ".join(about["axes"]) + {1: " upper", -1: " lower", 0: ""}[about["side"]]
+    parts = [about["status"], f"equation: {about['equation']}", f"parameters: {values or 'none'}"]
+    if place:
+        parts.insert(1, f"at {place}")
+    if about["remedy"]:
+        parts.append(f"instead: {about['remedy']}")
+    return "; ".join(parts)
+
+
+def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str, replay: str) -> list[str]:
+    rows = [
+        f"{name} = {p['with_effect']:.6g} {p['unit']} (plain fit {p['base']:.6g})"
+        for name, p in answer["parameters"].items()
+    ]
+    return [
+        *([_NOTICE] if answer["phantom"] else []),
+        f"Robot and interface of {answer['subject']} as diagnosed: pHRI Real2Sim on MuJoCo {mujoco.__version__}.",
+        f"Verdict: {_verdict(answer)}.",
+        "Units: SI (m, rad, kg, s, N, Nm). Parameters of the interface, relative as long as no force was measured:",
+        *(f"  {row}" for row in rows),
+        "Effects:" if about else "Effects: none.",
+        *(f"  {a['effect']}: {_line(a)}" for a in about),
+        f"Start pose and rest of the robot's controller: trial {trial}, keyframe {START_KEY}.",
+        "Shapes are left out: nothing touches.",
+        "The pelvis follows actuators pelvis_tx to pelvis_rz: position relative to site pelvis_reference (m, rotation",
+        "vector), plus 2 h velocity, plus 2 h^2 acceleration, velocities taken h/2 earlier (h: the time step). Damped",
+        "joints carry armature -damping h / 2, which centres the step: keep h, or change both.",
+        f"{replay} holds these controls for one trial (planned_*: planned forces), and where the sites are then.",
+    ]
+
+
+def _texts(
+    answer: dict[str, Any], about: Sequence[dict[str, Any]], sources: dict[str, Any]
+) -> dict[str, str]:
+    texts = {
+        "subject": answer["subject"],
+        "verdict": _verdict(answer),
+        "units": "; ".join(f"{name}: {p['unit']}" for name, p in answer["parameters"].items()),
+        "versions": f"mujoco {mujoco.__version__}, code {sources['code_fingerprint']}",
+    }
+    if answer["phantom"]:
+        texts["phantom"] = _NOTICE
+    return texts | {f"effect_{i + 1}_{a['effect']}": _line(a) for i, a in enumerate(about)}
+
+
+def _notes(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str) -> dict[str, Any]:
+    left = [a for a in about if a["status"] != NATIVE]
+    return {
+        "schema": 1,
+        "subject": answer["subject"],
+        "phantom": answer["phantom"],
+        "verdict": answer["verdict"],
+        "meaning": _verdict(answer),
+        "trial": trial,
+        "complete": not left and answer["verdict"] != "unknown",
+        "effects": list(about),
+        "to_do": [f"{a['effect']}: {a['remedy']}" for a in left],
+        "parameters": {
+            name: {"value": p["with_effect"], "plain": p["base"], "unit": p["unit"]}
+            for name, p in answer["parameters"].items()
+        },
+    }
+
+
+def _write_replay(out: Path, replay: EffectReplay, simulated: Simulated) -> None:
+    """Controls and interface sites of the last simulation, step by step."""
+    model = simulated.model
+    driven = [model.actuator(i).name for i in range(model.nu)]
+    sites = [f"{site}_{axis}_m" for site in INTERFACE_SITES for axis in "xyz"]
+    paths = replay.sites()
+    time = np.arange(len(paths)) * model.opt.timestep
+    write_table(
+        out,
+        ["time_s", *driven, *sites],
+        (
+            dict(zip(["time_s", *driven, *sites], map(float, (t, *u, *p)), strict=True))
+            for t, u, p in zip(time, simulated.control, paths.reshape(len(paths), 6), strict=True)
+        ),
+    )

@@ -154,10 +154,13 @@ def test_mark_of_an_overridden_fit_is_in_every_result(study, tmp_path):
         out=out["floor"],
     )
     cross_trial(**about, fits=everything, poses=poses, markers=markers, settings=slices(), out=out["cross"])
+    shareability(
+        fits=everything, settings=CONFIG["statistics"], out_fits=tables["fits"], out_icc=tables["icc"]
+    )
     loso_subject(
         **about,
-        cohort=["S01"],
         fits=everything,
+        cohort=tables["fits"],
         poses=poses,
         markers=markers,
         published=PUBLISHED / "table1_priors.csv",
@@ -167,9 +170,6 @@ def test_mark_of_an_overridden_fit_is_in_every_result(study, tmp_path):
     for path in out.values():
         assert read_json(path)["overridden_gates"] == MARK, path.name
 
-    shareability(
-        fits=everything, settings=CONFIG["statistics"], out_fits=tables["fits"], out_icc=tables["icc"]
-    )
     inputs = {"fits": tables["fits"], "icc": tables["icc"], "published": PUBLISHED / "table1_priors.csv"}
     priors(**inputs, settings=CONFIG["statistics"], out=tables["priors"])
     loso_table(loso=[out["loso"]], settings=CONFIG["statistics"], out=tables["loso"])

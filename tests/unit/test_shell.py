@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from real2sim import provenance
 from real2sim.artefacts import read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.shell import braced
 from real2sim.identification.parameters import PARAMETERS
 
 ROOT = Path(__file__).parents[2]
@@ -134,3 +136,22 @@ FIT = "real2sim.identification.fit"
 )
 def test_fingerprint_follows_code_and_nothing_else(library, file, old, new, module, changes):
     assert _edited(library, file, old, new, module) is changes
+
+
+def test_braced_paths_are_the_paths_and_fit_a_shell():
+    paths = [
+        f"results/fits/S{person:04d}/{trial}/restart-{restart}.json"
+        for person in range(1, 1001)
+        for trial in ("dynamic_1", "dynamic_2")
+        for restart in range(1, 6)
+    ]
+    short = braced(paths)
+    assert len(short) < 10_000 < 131_072 < len(" ".join(paths))
+    uneven = [*paths[:25], "results/fits/S0001/dynamic_3/restart-1.json", "results/other.json"]
+    for given in (paths, uneven, paths[:1], []):
+        done = subprocess.run(
+            ["bash", "-c", f"printf '%s\\n' {braced(given)}"], capture_output=True, text=True, check=True
+        )
+        assert sorted(done.stdout.split()) == sorted(given)
+    with pytest.raises(ValueError, match="a b"):
+        braced(["results/a b.json"])

@@ -5,6 +5,7 @@ Outputs: none.
 Steps:   check the configuration; find the people; name their trials; fingerprint the code of each stage.
 """
 
+import gc
 import json
 import os
 import sys
@@ -12,6 +13,9 @@ import time
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
+
+# a DAG has no cycles worth looking for, and of a thousand people every search takes seconds
+gc.disable()
 
 LIBRARY_ROOT = str(Path(workflow.basedir) / "workflow")
 sys.path.insert(0, LIBRARY_ROOT)
@@ -24,13 +28,15 @@ os.environ.update(
 from real2sim.__main__ import FAILED, module_of
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.shell import braced
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
 from real2sim.phantom.suite.plan import case_names, shards
 from real2sim.provenance import fingerprint
 from real2sim.subjects import discover
 
-TABLES = ["markers.parquet", "pose.parquet", "joints.parquet", "robot.parquet", "quality.json"]
+# those that later stages ask for come first: Snakemake looks for who makes a file from the front
+TABLES = ["pose.parquet", "markers.parquet", "quality.json", "joints.parquet", "robot.parquet"]
 
 
 def load_study(raw_config):
@@ -119,8 +125,8 @@ def canonical_tables(people=None):
     return [
         f"results/trials/{name}/{trial}/{table}"
         for name in (PEOPLE if people is None else people)
-        for trial in PEOPLE[name].trials
         for table in TABLES
+        for trial in PEOPLE[name].trials
     ]
 
 

@@ -49,9 +49,10 @@ rule convergence_figure:
         mem_mb=600,
         runtime=10,
     params:
+        fits=lambda wildcards, input: braced(input.fits),
         code=code("convergence-figure"),
     shell:
-        "python -m real2sim convergence-figure --fits {input.fits:q} --floors {input.floors:q} --out {output:q} 2>&1 | tee {log:q}"
+        "python -m real2sim convergence-figure --fits {params.fits} --floors {input.floors:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule icc_figure:
@@ -167,9 +168,10 @@ rule identifiability_table:
         mem_mb=600,
         runtime=10,
     params:
+        assessments=lambda wildcards, input: braced(input.assessments),
         code=code("assessment-table"),
     shell:
-        "python -m real2sim assessment-table --assessments {input.assessments:q} --out {output:q} 2>&1"
+        "python -m real2sim assessment-table --assessments {params.assessments} --out {output:q} 2>&1"
         " | tee {log:q}"
 
 

@@ -12,8 +12,8 @@ from real2sim import provenance
 from real2sim.artefacts import read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
-from real2sim.shell import braced
 from real2sim.identification.parameters import PARAMETERS
+from real2sim.shell import braced
 
 ROOT = Path(__file__).parents[2]
 

@@ -41,6 +41,7 @@ COMMANDS = {
     "shareability": "real2sim.statistics.shareability:shareability",
     "priors": "real2sim.statistics.shareability:priors",
     "diagnose": "real2sim.diagnosis.stage:diagnose",
+    "motion": "real2sim.motion.export:export_motion",
     "suite-diagnose": "real2sim.diagnosis.suite:diagnose_cases",
     "suite-score": "real2sim.diagnosis.score:score_diagnosis",
     "tightness-figure": "real2sim.figures.tightness:tightness_figure",

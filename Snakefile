@@ -33,10 +33,10 @@ include: "workflow/rules/suite.smk"
 
 
 rule all:
-    """Everything: tables, figures and the page that links them."""
+    """Everything: tables, figures and the page that holds them."""
     default_target: True
     input:
-        "results/index.html",
+        "results/report.html",
         "results/tightness/cohort.json",
         "results/quality/quality.csv",
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),

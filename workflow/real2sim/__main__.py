@@ -53,7 +53,7 @@ COMMANDS = {
     "diagnosis-page": "real2sim.figures.diagnosis:diagnosis_page",
     "diagnosis-table": "real2sim.figures.diagnosis:diagnosis_table",
     "suite-page": "real2sim.figures.suite:suite_page",
-    "index-page": "real2sim.figures.index:index_page",
+    "report-page": "real2sim.figures.report:report_page",
 }
 
 
@@ -97,7 +97,9 @@ def _add(parser: argparse.ArgumentParser, name: str, annotation: Any, required: 
 
 def _parse(command: str, function: Callable[..., None], arguments: Sequence[str]) -> dict[str, Any]:
     summary = (inspect.getdoc(function) or "").split("\n\n")[0]
-    parser = argparse.ArgumentParser(prog=f"python -m real2sim {command}", description=summary)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m real2sim {command}", description=summary, allow_abbrev=False
+    )
     hints = get_type_hints(function)
     defaults = inspect.signature(function).parameters
     for name, parameter in defaults.items():

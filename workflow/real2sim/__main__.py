@@ -16,9 +16,6 @@ import types
 from collections.abc import Callable, Sequence
 from typing import Any, get_args, get_origin, get_type_hints
 
-# By this line the workflow finds, at the end of a run, what failed and why
-FAILED = "error in stage"
-
 COMMANDS = {
     "phantom": "real2sim.phantom.cohort:write_subject",
     "suite-cases": "real2sim.phantom.suite.write:write_cases",
@@ -121,6 +118,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"usage: python -m real2sim <command> ...\ncommands: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     from real2sim.errors import InputError
+    from real2sim.failures import FAILED
 
     command, *rest = arguments
     function = _load(command)

@@ -25,9 +25,10 @@ os.environ.update(
     PATH=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),
 )
 
-from real2sim.__main__ import FAILED, module_of
+from real2sim.__main__ import module_of
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.failures import failures
 from real2sim.shell import braced
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
@@ -100,11 +101,9 @@ STARTED = time.time()
 
 onerror:
     # in the last lines of the run, what failed, why, and where its log is
-    for path in sorted(Path("logs").rglob("*.log")):
-        if path.stat().st_mtime >= STARTED:
-            text = path.read_text(encoding="utf-8", errors="replace")
-            if FAILED in text:
-                print(f"\n{text[text.rindex(FAILED):].strip()}\n  log:      {path}", file=sys.stderr)
+    record = Path(log).read_text(encoding="utf-8", errors="replace") if Path(log).exists() else ""
+    for failure in failures(Path("logs"), STARTED, record):
+        print(f"\n{failure}", file=sys.stderr)
     print("\nFinished files are kept: the same command goes on from here.", file=sys.stderr)
 
 

@@ -14,7 +14,8 @@ rule tightness_figure:
         sweeps=expand("results/tightness/{subject}/sweep.csv", subject=PEOPLE),
         cohort="results/tightness/cohort.json",
     output:
-        multiext("results/figures/tightness", ".png", ".pdf", ".svg"),
+        multiext("results/figures/tightness", ".pdf", ".svg"),
+        report("results/figures/tightness.png", caption="../report/tightness.rst", category="Tightness"),
     log:
         "logs/figures/tightness_figure.log",
     benchmark:
@@ -37,7 +38,10 @@ rule convergence_figure:
         fits=fits_of(CALIBRATION),
         floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
     output:
-        multiext("results/figures/convergence", ".png", ".pdf", ".svg"),
+        multiext("results/figures/convergence", ".pdf", ".svg"),
+        report(
+            "results/figures/convergence.png", caption="../report/convergence.rst", category="Identification"
+        ),
     log:
         "logs/figures/convergence_figure.log",
     benchmark:
@@ -61,7 +65,8 @@ rule icc_figure:
         fits="results/shareability/fits.csv",
         icc="results/shareability/icc.csv",
     output:
-        multiext("results/figures/icc", ".png", ".pdf", ".svg"),
+        multiext("results/figures/icc", ".pdf", ".svg"),
+        report("results/figures/icc.png", caption="../report/icc.rst", category="Shared between people"),
     log:
         "logs/figures/icc_figure.log",
     benchmark:
@@ -83,7 +88,8 @@ rule loso_figure:
     input:
         loso="results/loso/loso.csv",
     output:
-        multiext("results/figures/loso", ".png", ".pdf", ".svg"),
+        multiext("results/figures/loso", ".pdf", ".svg"),
+        report("results/figures/loso.png", caption="../report/loso.rst", category="Shared between people"),
     log:
         "logs/figures/loso_figure.log",
     benchmark:
@@ -106,7 +112,7 @@ rule priors_table:
         priors="results/priors/priors.csv",
         published=f"{PUBLISHED}/table1_priors.csv",
     output:
-        "results/tables/priors.csv",
+        report("results/tables/priors.csv", caption="../report/priors.rst", category="Shared between people"),
     log:
         "logs/figures/priors_table.log",
     benchmark:
@@ -130,7 +136,9 @@ rule cross_trial_table:
         floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
         published=f"{PUBLISHED}/cross_trial.csv",
     output:
-        "results/tables/cross_trial.csv",
+        report(
+            "results/tables/cross_trial.csv", caption="../report/cross_trial.rst", category="Identification"
+        ),
     log:
         "logs/figures/cross_trial_table.log",
     benchmark:
@@ -156,7 +164,11 @@ rule identifiability_table:
             for trial in PEOPLE[name].trials_of("dynamic")
         ],
     output:
-        "results/tables/identifiability.csv",
+        report(
+            "results/tables/identifiability.csv",
+            caption="../report/identifiability.rst",
+            category="Identification",
+        ),
     log:
         "logs/figures/identifiability_table.log",
     benchmark:

@@ -4,6 +4,7 @@
     snakemake --cores 2 --configfile config/quick.yaml     the same line in minutes
     snakemake --cores 2 diagnosis                          which unmodelled effect causes the gap of each person
     snakemake --cores 2 suite --config suite=config/suite-ci.yaml   how often the diagnosis is right, on sealed cases
+    snakemake --cores 2 motion                             every fitted trial as a file to watch in Foxglove
     snakemake --cores 2 quality                            what the recordings are worth, without fitting anything
 
 What the settings mean: config/README.md. One file per stage, in the order of the DAG: workflow/rules/.
@@ -17,6 +18,9 @@ min_version("9.0")
 configfile: "config/config.yaml"
 
 
+report: "workflow/report/study.rst"
+
+
 include: "workflow/rules/common.smk"
 include: "workflow/rules/phantom.smk"
 include: "workflow/rules/ingest.smk"
@@ -26,15 +30,16 @@ include: "workflow/rules/limits.smk"
 include: "workflow/rules/identification.smk"
 include: "workflow/rules/shareability.smk"
 include: "workflow/rules/diagnosis.smk"
+include: "workflow/rules/motion.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/suite.smk"
 
 
 rule all:
-    """Everything: tables, figures and the page that links them."""
+    """Everything: tables, figures and the page that holds them."""
     default_target: True
     input:
-        "results/index.html",
+        "results/report.html",
         "results/tightness/cohort.json",
         "results/quality/quality.csv",
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),

@@ -3,11 +3,13 @@
     python benchmarks/workflow.py --configfile config/quick.yaml
     python benchmarks/workflow.py
     python benchmarks/workflow.py --people 5 10 20 --out scaling.json
+    python benchmarks/workflow.py --dry-run 100 300 1000
 
 Clones the tree into a fresh folder, times the dry run and the run on 2 cores, and reads time and peak memory of each
 job from Snakemake's own benchmark files. With ``--people`` the phantom's cohort is enlarged to each number, with short
 trials and a small budget: doubling the people must double the time and leave the memory of a job as it is. Numbers that
-``--out`` already has are not run again.
+``--out`` already has are not run again. With ``--dry-run`` so many people with empty recordings are planned, not run:
+jobs, time and memory of the plan (bar: 60 s and 2 GB for 1000 people). What running it would take: docs/cluster.md.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import csv
 import itertools
 import json
 import os
+import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -65,6 +69,47 @@ def enlarge(folder: Path, people: int) -> Path:
     budget = folder / "config" / "small.yaml"
     budget.write_text(yaml.safe_dump(SMALL_BUDGET), encoding="utf-8")
     return budget
+
+
+def enrol(folder: Path, people: int) -> Path:
+    """Give the clone so many people with all trials but nothing in them, and return a configuration of one restart."""
+    sweep = range(SHORT_SWEEP["loosest_cm"], SHORT_SWEEP["tightest_cm"] + 1)
+    trials = ["neutral", *(f"{kind}_T{level:02d}" for kind in ("rotation", "translation") for level in sweep)]
+    trials += ["dynamic_1", "dynamic_2", "walk_normal_1", *(f"walk_robot_{i}" for i in range(1, 6))]
+    about = {"cohort": "calibration", "sex": "female", "age_years": 31, "mass_kg": 64.0, "height_m": 1.68}
+    for i in range(people):
+        person = folder / "resources" / "subjects" / f"S{i + 1:04d}"
+        person.mkdir()
+        content = {"id": person.name, **about, "waist_m": 0.78, "tightness": SHORT_SWEEP}
+        (person / "subject.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+        for trial in trials:
+            for kind in ("tsv", "mot", "mcap"):
+                (person / f"{trial}.{kind}").touch()
+    budget = folder / "config" / "small.yaml"
+    budget.write_text(yaml.safe_dump(SMALL_BUDGET | {"cohort": "real"}), encoding="utf-8")
+    return budget
+
+
+def plan(people: int) -> None:
+    """Print what planning so many people takes."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "clone"
+        clone(folder)
+        command = [sys.executable, "-m", "snakemake", "-n", "--configfile", str(enrol(folder, people))]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        start = time.monotonic()
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        wall = time.monotonic() - start
+    if done.returncode:
+        sys.exit(done.stdout[-4000:] + done.stderr[-4000:])
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+    jobs = re.findall(r"^total\s+(\d+)", done.stdout, re.M)[-1]
+    print(
+        f"{people} people: {jobs} jobs, {wall:.0f} s on the clock, {cpu:.0f} s of processor, at most"
+        f" {used.ru_maxrss / 1024:.0f} MB; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+        flush=True,
+    )
 
 
 def timed(folder: Path, *arguments: str) -> float:
@@ -170,8 +215,15 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="keep the clone here")
     parser.add_argument("--people", type=int, nargs="+", help="sizes of the cohort")
+    parser.add_argument(
+        "--dry-run", type=int, nargs="+", metavar="PEOPLE", help="plan so many people, ascending"
+    )
     parser.add_argument("--out", type=Path, help="JSON of the runs with --people")
     options = parser.parse_args()
+    if options.dry_run:
+        for people in sorted(options.dry_run):
+            plan(people)
+        return
     if options.people:
         runs = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
         for people in options.people:

@@ -1,12 +1,10 @@
-"""Figures are written, the same bytes for the same data; the page repeats what the data say of themselves."""
+"""Figures are written, the same bytes for the same data."""
 
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
-from real2sim.figures.index import index_page
 from real2sim.figures.style import PHANTOM_LABEL, new_figure, signed
 from real2sim.figures.tables import cross_trial_table, priors_table
 from real2sim.figures.tightness import tightness_figure
@@ -45,7 +43,8 @@ def test_figures_of_the_fits_are_written_and_deterministic(tmp_path, people):
     runs = []
     for run in ("a", "b"):
         out = {
-            n: [tmp_path / run / f"{n}.{e}" for e in ("png", "pdf")] for n in ("icc", "loso", "convergence")
+            n: [tmp_path / run / f"{n}.{e}" for e in ("png", "pdf", "svg")]
+            for n in ("icc", "loso", "convergence")
         }
         icc_figure(fits=tables["fits"], icc=tables["icc"], out=out["icc"])
         loso_figure(loso=tables["loso"], out=out["loso"])
@@ -98,47 +97,6 @@ def test_cross_trial_table_has_persons_mean_and_paper(tmp_path):
     assert number(rows["mean"]["overhead_percent"]) == pytest.approx(30.0)
     assert rows["paper"]["overhead_percent"] == "14.5"
     assert rows["paper"]["phantom"] == "false"
-
-
-class _Links(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.targets, self.open, self.text = [], [], ""
-
-    def handle_starttag(self, tag, attrs):
-        given = dict(attrs)
-        self.targets += [given[key] for key in ("href", "src") if key in given]
-        if tag not in ("img", "meta"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text += data
-
-
-@pytest.mark.parametrize(("phantom", "people"), [(True, 4), (False, 1)])
-def test_index_page_links_everything_and_says_what_is_missing(tmp_path, phantom, people):
-    _, tables = _results(tmp_path, people, phantom)
-    figures = [tmp_path / "figures" / f"loso.{e}" for e in ("png", "pdf")]
-    loso_figure(loso=tables["loso"], out=figures)
-    page = tmp_path / "index.html"
-    index_page(
-        figures=figures,
-        tables=[tables["priors"], tables["icc"]],
-        title="Results <of> a run",
-        phantom=False,
-        out=page,
-    )
-    parsed = _Links()
-    parsed.feed(page.read_text())
-    assert parsed.open == []
-    assert all((tmp_path / target).is_file() for target in parsed.targets)
-    assert "figures/loso.pdf" in parsed.targets
-    assert (PHANTOM_LABEL in parsed.text) is phantom
-    assert ("needs at least 3 people, have 1" in parsed.text) is (people == 1)
-    assert "Results <of> a run" in parsed.text
 
 
 def test_results_never_hold_nan(tmp_path):

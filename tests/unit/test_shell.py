@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,9 @@ from real2sim import provenance
 from real2sim.artefacts import read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.failures import FAILED, failures
 from real2sim.identification.parameters import PARAMETERS
+from real2sim.shell import braced
 
 ROOT = Path(__file__).parents[2]
 
@@ -134,3 +138,48 @@ FIT = "real2sim.identification.fit"
 )
 def test_fingerprint_follows_code_and_nothing_else(library, file, old, new, module, changes):
     assert _edited(library, file, old, new, module) is changes
+
+
+def test_braced_paths_are_the_paths_and_fit_a_shell():
+    paths = [
+        f"results/fits/S{person:04d}/{trial}/restart-{restart}.json"
+        for person in range(1, 1001)
+        for trial in ("dynamic_1", "dynamic_2")
+        for restart in range(1, 6)
+    ]
+    short = braced(paths)
+    assert len(short) < 10_000 < 131_072 < len(" ".join(paths))
+    uneven = [*paths[:25], "results/fits/S0001/dynamic_3/restart-1.json", "results/other.json"]
+    for given in (paths, uneven, paths[:1], []):
+        done = subprocess.run(
+            ["bash", "-c", f"printf '%s\\n' {braced(given)}"], capture_output=True, text=True, check=True
+        )
+        assert sorted(done.stdout.split()) == sorted(given)
+    with pytest.raises(ValueError, match="a b"):
+        braced(["results/a b.json"])
+
+
+def test_last_lines_name_what_failed_and_its_log(tmp_path):
+    logs = tmp_path / "logs"
+    for name, text in (
+        (
+            "fits/S01.log",
+            f"step 1\n{FAILED} 'fit': old\nagain\n{FAILED} 'fit': raw.tsv: empty\n  remedy: record",
+        ),
+        ("fits/S02.log", "evaluation 12"),
+        ("limits/S03.log", "fine"),
+    ):
+        (logs / name).parent.mkdir(parents=True, exist_ok=True)
+        (logs / name).write_text(text)
+    record = (
+        "Error in rule fit:\n    message: None\n    jobid: 3\n    log: logs/fits/S02.log (check log file(s) for error "
+        "details)\n    shell:\n        python -m real2sim fit\n"
+        "Error in rule fit:\n    message: SLURM-job '7' failed, SLURM status is: 'FAILED'. For further error details\n"
+        f"    log: {logs}/fits/S01.log, /x/slurm/7.log (check log file(s) for error details)\n"
+    )
+    found = failures(logs, 0.0, record)
+    assert found == [
+        f"{FAILED} 'fit': raw.tsv: empty\n  remedy: record\n  log:      {logs}/fits/S01.log",
+        "rule fit ended without a word of its own (killed, out of memory or time?)\n  log:      logs/fits/S02.log",
+    ]
+    assert failures(logs, time.time() + 60, "") == []

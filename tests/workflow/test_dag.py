@@ -44,6 +44,11 @@ def test_no_rule_reads_the_sealed_truth(project):
     assert not any("sealed" in command for command in commands)
 
 
+def test_motion_is_a_file_per_fitted_trial_and_apart_from_the_study(project):
+    assert "motion_file" not in project.planned()
+    assert project.planned("motion")["motion_file"] == 10
+
+
 def test_suite_of_cases_is_apart_from_the_study(project):
     assert not any(rule.startswith("suite") for rule in project.planned())
     kinds = ("suite_cases", "suite_diagnose")

@@ -16,7 +16,7 @@ AGGREGATION = {
     "loso",
     "loso_table",
     "tightness_cohort",
-    "index_page",
+    "report_page",
     "tightness_figure",
     "convergence_figure",
     "icc_figure",
@@ -73,7 +73,7 @@ def test_changed_colour_runs_only_figures(mini):
     mini.edit("workflow/real2sim/figures/style.py", "#0072B2", "#0072B3")
     planned = mini.planned()
     assert planned
-    assert all("figure" in rule or rule in ("index_page", "all") for rule in planned), planned
+    assert all("figure" in rule or rule in ("report_page", "all") for rule in planned), planned
 
 
 def test_new_person_runs_only_their_jobs_and_the_aggregation(mini, mini_raw):

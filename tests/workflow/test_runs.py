@@ -64,7 +64,7 @@ def test_figures_are_the_same_bytes_too(mini):
 def test_everything_that_rests_on_the_phantom_says_so(mini):
     fit = json.loads((mini.folder / "results/fits/S01/dynamic_1/restart-1.json").read_text())
     assert fit["phantom"] is True
-    page = (mini.folder / "results/index.html").read_text()
+    page = (mini.folder / "results/report.html").read_text()
     assert "phantom" in page.lower()
     for name in ("loso/S01.json", "cross_trial/S01.json", "trials/S01/neutral/quality.json"):
         assert json.loads((mini.folder / "results" / name).read_text())["phantom"] is True, name
@@ -98,7 +98,7 @@ def test_least_squares_reaches_a_lower_cost_than_a_short_cmaes(mini):
 @pytest.mark.parametrize("victim", ["fit", "snakemake"])
 def test_killed_and_started_again_ends_in_the_same_files(victim, mini_done, mini, tmp_path):
     # Snakemake makes a missing file again only where something that is made of it is missing too, up to the target
-    (mini.folder / "results" / "index.html").unlink()
+    (mini.folder / "results" / "report.html").unlink()
     for name in (*RESULTS[RESULTS.index("fits") :], "figures"):
         shutil.rmtree(mini.folder / "results" / name)
     process = subprocess.Popen(
@@ -170,7 +170,7 @@ def test_one_person_alone_is_identified_and_told_what_is_missing(mini_raw, tmp_p
     assert "overhead_J" not in loso
     priors = (alone.folder / "results/priors/priors.csv").read_text()
     assert "published (Table I)" in priors
-    assert "needs at least 3 people" in (alone.folder / "results/index.html").read_text()
+    assert "needs at least 3 people" in (alone.folder / "results/report.html").read_text()
 
 
 def test_failing_person_is_named_last_and_the_others_go_on(mini, mini_raw):
@@ -232,4 +232,4 @@ def test_refused_trial_stops_and_once_overridden_marks_all_that_rests_on_it(mini
     assert not any(name.startswith(own) for name in marked)
     assert "loso/S02.json" in marked, "its prior is made of the other's fits"
     assert {"priors/priors.csv", "loso/loso.csv", "tables/cross_trial.csv", "tables/priors.csv"} <= marked
-    assert "quality.override): S01/dynamic_1." in (results / "index.html").read_text()
+    assert "quality.override): S01/dynamic_1." in (results / "report.html").read_text()

@@ -16,9 +16,6 @@ import types
 from collections.abc import Callable, Sequence
 from typing import Any, get_args, get_origin, get_type_hints
 
-# By this line the workflow finds, at the end of a run, what failed and why
-FAILED = "error in stage"
-
 COMMANDS = {
     "phantom": "real2sim.phantom.cohort:write_subject",
     "suite-cases": "real2sim.phantom.suite.write:write_cases",
@@ -42,6 +39,7 @@ COMMANDS = {
     "priors": "real2sim.statistics.shareability:priors",
     "diagnose": "real2sim.diagnosis.stage:diagnose",
     "diagnosis-model": "real2sim.diagnosis.export:export_model",
+    "motion": "real2sim.motion.export:export_motion",
     "suite-diagnose": "real2sim.diagnosis.suite:diagnose_cases",
     "suite-score": "real2sim.diagnosis.score:score_diagnosis",
     "tightness-figure": "real2sim.figures.tightness:tightness_figure",
@@ -53,7 +51,7 @@ COMMANDS = {
     "diagnosis-page": "real2sim.figures.diagnosis:diagnosis_page",
     "diagnosis-table": "real2sim.figures.diagnosis:diagnosis_table",
     "suite-page": "real2sim.figures.suite:suite_page",
-    "index-page": "real2sim.figures.index:index_page",
+    "report-page": "real2sim.figures.report:report_page",
 }
 
 
@@ -97,7 +95,9 @@ def _add(parser: argparse.ArgumentParser, name: str, annotation: Any, required: 
 
 def _parse(command: str, function: Callable[..., None], arguments: Sequence[str]) -> dict[str, Any]:
     summary = (inspect.getdoc(function) or "").split("\n\n")[0]
-    parser = argparse.ArgumentParser(prog=f"python -m real2sim {command}", description=summary)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m real2sim {command}", description=summary, allow_abbrev=False
+    )
     hints = get_type_hints(function)
     defaults = inspect.signature(function).parameters
     for name, parameter in defaults.items():
@@ -119,6 +119,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"usage: python -m real2sim <command> ...\ncommands: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     from real2sim.errors import InputError
+    from real2sim.failures import FAILED
 
     command, *rest = arguments
     function = _load(command)

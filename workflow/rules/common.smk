@@ -5,6 +5,7 @@ Outputs: none.
 Steps:   check the configuration; find the people; name their trials; fingerprint the code of each stage.
 """
 
+import gc
 import json
 import os
 import sys
@@ -12,6 +13,9 @@ import time
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
+
+# a DAG has no cycles worth looking for, and of a thousand people every search takes seconds
+gc.disable()
 
 LIBRARY_ROOT = str(Path(workflow.basedir) / "workflow")
 sys.path.insert(0, LIBRARY_ROOT)
@@ -21,16 +25,19 @@ os.environ.update(
     PATH=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),
 )
 
-from real2sim.__main__ import FAILED, module_of
+from real2sim.__main__ import module_of
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.failures import failures
+from real2sim.shell import braced
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.phantom.plan import planned_files, planned_subjects
 from real2sim.phantom.suite.plan import case_names, expected_time, shards
 from real2sim.provenance import fingerprint
 from real2sim.subjects import discover, require_operating_point
 
-TABLES = ["markers.parquet", "pose.parquet", "joints.parquet", "robot.parquet", "quality.json"]
+# those that later stages ask for come first: Snakemake looks for who makes a file from the front
+TABLES = ["pose.parquet", "markers.parquet", "quality.json", "joints.parquet", "robot.parquet"]
 
 
 def load_study(raw_config):
@@ -94,11 +101,9 @@ STARTED = time.time()
 
 onerror:
     # in the last lines of the run, what failed, why, and where its log is
-    for path in sorted(Path("logs").rglob("*.log")):
-        if path.stat().st_mtime >= STARTED:
-            text = path.read_text(encoding="utf-8", errors="replace")
-            if FAILED in text:
-                print(f"\n{text[text.rindex(FAILED):].strip()}\n  log:      {path}", file=sys.stderr)
+    record = Path(log).read_text(encoding="utf-8", errors="replace") if Path(log).exists() else ""
+    for failure in failures(Path("logs"), STARTED, record):
+        print(f"\n{failure}", file=sys.stderr)
     print("\nFinished files are kept: the same command goes on from here.", file=sys.stderr)
 
 
@@ -119,8 +124,8 @@ def canonical_tables(people=None):
     return [
         f"results/trials/{name}/{trial}/{table}"
         for name in (PEOPLE if people is None else people)
-        for trial in PEOPLE[name].trials
         for table in TABLES
+        for trial in PEOPLE[name].trials
     ]
 
 

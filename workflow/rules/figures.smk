@@ -1,7 +1,7 @@
-"""Figures, tables and the page that links them: from files only, so a changed colour re-fits nothing.
+"""Figures, tables and the page that holds them: from files only, so a changed colour re-fits nothing.
 
 Inputs:  sweeps, fits, ICC, priors, LOSO and cross-trial files.
-Outputs: results/figures/*.{png,pdf}, results/tables/*.csv, results/index.html.
+Outputs: results/figures/*.{png,pdf,svg}, results/tables/*.csv, results/report.html.
 Steps:   one rule per figure or table.
 """
 
@@ -14,7 +14,8 @@ rule tightness_figure:
         sweeps=expand("results/tightness/{subject}/sweep.csv", subject=PEOPLE),
         cohort="results/tightness/cohort.json",
     output:
-        multiext("results/figures/tightness", ".png", ".pdf"),
+        multiext("results/figures/tightness", ".pdf", ".svg"),
+        report("results/figures/tightness.png", caption="../report/tightness.rst", category="Tightness"),
     log:
         "logs/figures/tightness_figure.log",
     benchmark:
@@ -37,7 +38,10 @@ rule convergence_figure:
         fits=fits_of(CALIBRATION),
         floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
     output:
-        multiext("results/figures/convergence", ".png", ".pdf"),
+        multiext("results/figures/convergence", ".pdf", ".svg"),
+        report(
+            "results/figures/convergence.png", caption="../report/convergence.rst", category="Identification"
+        ),
     log:
         "logs/figures/convergence_figure.log",
     benchmark:
@@ -49,9 +53,10 @@ rule convergence_figure:
         mem_mb=600,
         runtime=10,
     params:
+        fits=lambda wildcards, input: braced(input.fits),
         code=code("convergence-figure"),
     shell:
-        "python -m real2sim convergence-figure --fits {input.fits:q} --floors {input.floors:q} --out {output:q} 2>&1 | tee {log:q}"
+        "python -m real2sim convergence-figure --fits {params.fits} --floors {input.floors:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule icc_figure:
@@ -60,7 +65,8 @@ rule icc_figure:
         fits="results/shareability/fits.csv",
         icc="results/shareability/icc.csv",
     output:
-        multiext("results/figures/icc", ".png", ".pdf"),
+        multiext("results/figures/icc", ".pdf", ".svg"),
+        report("results/figures/icc.png", caption="../report/icc.rst", category="Shared between people"),
     log:
         "logs/figures/icc_figure.log",
     benchmark:
@@ -82,7 +88,8 @@ rule loso_figure:
     input:
         loso="results/loso/loso.csv",
     output:
-        multiext("results/figures/loso", ".png", ".pdf"),
+        multiext("results/figures/loso", ".pdf", ".svg"),
+        report("results/figures/loso.png", caption="../report/loso.rst", category="Shared between people"),
     log:
         "logs/figures/loso_figure.log",
     benchmark:
@@ -105,7 +112,7 @@ rule priors_table:
         priors="results/priors/priors.csv",
         published=f"{PUBLISHED}/table1_priors.csv",
     output:
-        "results/tables/priors.csv",
+        report("results/tables/priors.csv", caption="../report/priors.rst", category="Shared between people"),
     log:
         "logs/figures/priors_table.log",
     benchmark:
@@ -129,7 +136,9 @@ rule cross_trial_table:
         floors=expand("results/noise_floor/{subject}.json", subject=CALIBRATION),
         published=f"{PUBLISHED}/cross_trial.csv",
     output:
-        "results/tables/cross_trial.csv",
+        report(
+            "results/tables/cross_trial.csv", caption="../report/cross_trial.rst", category="Identification"
+        ),
     log:
         "logs/figures/cross_trial_table.log",
     benchmark:
@@ -155,7 +164,11 @@ rule identifiability_table:
             for trial in PEOPLE[name].trials_of("dynamic")
         ],
     output:
-        "results/tables/identifiability.csv",
+        report(
+            "results/tables/identifiability.csv",
+            caption="../report/identifiability.rst",
+            category="Identification",
+        ),
     log:
         "logs/figures/identifiability_table.log",
     benchmark:
@@ -167,38 +180,50 @@ rule identifiability_table:
         mem_mb=600,
         runtime=10,
     params:
+        assessments=lambda wildcards, input: braced(input.assessments),
         code=code("assessment-table"),
     shell:
-        "python -m real2sim assessment-table --assessments {input.assessments:q} --out {output:q} 2>&1"
+        "python -m real2sim assessment-table --assessments {params.assessments} --out {output:q} 2>&1"
         " | tee {log:q}"
 
 
-rule index_page:
-    """One page with all figures and tables."""
+# a diagnosis costs minutes per person: the report holds those that were asked for
+REPORTED = [name for name in DIAGNOSED if Path(f"results/diagnosis/{name}/diagnosis.json").exists()]
+
+
+rule report_page:
+    """The study on one page that needs no other file."""
     input:
-        figures=expand("results/figures/{name}.{kind}", name=FIGURES, kind=["png", "pdf"]),
-        tables=[
-            "results/tables/priors.csv",
-            "results/tables/identifiability.csv",
-            "results/tables/cross_trial.csv",
-            "results/loso/loso.csv",
-            "results/shareability/icc.csv",
-        ],
+        figures=expand("results/figures/{name}.svg", name=FIGURES),
+        quality="results/quality/quality.csv",
+        tightness="results/tightness/cohort.json",
+        breakpoints=expand("results/tightness/{subject}/breakpoints.json", subject=PEOPLE),
+        cross_trial="results/tables/cross_trial.csv",
+        identifiability="results/tables/identifiability.csv",
+        icc="results/shareability/icc.csv",
+        priors="results/tables/priors.csv",
+        loso="results/loso/loso.csv",
+        fits=fits_of(CALIBRATION),
+        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
-        "results/index.html",
+        "results/report.html",
     log:
-        "logs/figures/index_page.log",
+        "logs/figures/report_page.log",
     benchmark:
-        "logs/benchmarks/figures/index_page.tsv"
+        "logs/benchmarks/figures/report_page.tsv"
     conda:
         "../envs/real2sim.yaml"
     threads: 1
     resources:
-        mem_mb=600,
+        mem_mb=800,
         runtime=10,
     params:
+        people=json.dumps({name: person.cohort for name, person in PEOPLE.items()}),
         title="Real2Sim calibration of the pelvis-strap interface",
-        phantom=json.dumps(PHANTOM is not None),
-        code=code("index-page"),
+        fits=lambda wildcards, input: braced(input.fits),
+        code=code("report-page"),
     shell:
-        "python -m real2sim index-page --figures {input.figures:q} --tables {input.tables:q} --title {params.title:q} --phantom {params.phantom} --out {output:q} 2>&1 | tee {log:q}"
+        "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"
+        " --tightness {input.tightness:q} --breakpoints {input.breakpoints:q} --cross-trial {input.cross_trial:q}"
+        " --identifiability {input.identifiability:q} --icc {input.icc:q} --priors {input.priors:q} --loso {input.loso:q}"
+        " --fits {params.fits} --diagnoses {input.diagnoses:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -63,7 +63,12 @@ rule quality_figure:
     input:
         gates="results/quality/{subject}/gates.json",
     output:
-        "results/quality/{subject}/gates.png",
+        report(
+            "results/quality/{subject}/gates.png",
+            caption="../report/gates.rst",
+            category="Quality of the recordings",
+            labels={"person": "{subject}"},
+        ),
     log:
         "logs/quality/{subject}_figure.log",
     benchmark:

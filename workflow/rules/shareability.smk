@@ -24,10 +24,11 @@ rule shareability:
         mem_mb=600,
         runtime=10,
     params:
+        fits=lambda wildcards, input: braced(input.fits),
         settings=settings_of("statistics"),
         code=code("shareability"),
     shell:
-        "python -m real2sim shareability --fits {input.fits:q} --settings {params.settings:q}"
+        "python -m real2sim shareability --fits {params.fits} --settings {params.settings:q}"
         " --out-fits {output.fits:q} --out-icc {output.icc:q} 2>&1 | tee {log:q}"
 
 
@@ -60,7 +61,8 @@ rule priors:
 rule loso:
     """The prior of the others, deployed on one person."""
     input:
-        fits=fits_of(CALIBRATION),
+        fits=lambda wildcards: fits_of([wildcards.subject]),
+        cohort="results/shareability/fits.csv",
         poses=lambda wildcards: poses_of(wildcards.subject, "dynamic"),
         markers=lambda wildcards: markers_of(wildcards.subject, "dynamic"),
         limits="results/limits/{subject}.json",
@@ -80,11 +82,10 @@ rule loso:
         mem_mb=600,
         runtime=10,
     params:
-        cohort=CALIBRATION,
         settings=settings_of("identification", "plant", "robot", "statistics"),
         code=code("loso"),
     shell:
-        "python -m real2sim loso --subject {wildcards.subject} --cohort {params.cohort:q} --fits {input.fits:q}"
+        "python -m real2sim loso --subject {wildcards.subject} --fits {input.fits:q} --cohort {input.cohort:q}"
         " --poses {input.poses:q} --markers {input.markers:q} --limits {input.limits:q}"
         " --step {input.step:q} --robot {input.robot:q} --published {input.published:q} --settings {params.settings:q}"
         " --out {output:q} 2>&1 | tee {log:q}"

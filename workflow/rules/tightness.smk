@@ -51,7 +51,7 @@ rule tightness_breakpoints:
         settings=settings_of("tightness"),
         code=code("tightness-breakpoints"),
     shell:
-        "python -m real2sim tightness-breakpoints --subject {wildcards.subject} --sweep {input.sweep:q}"
+        "python -m real2sim tightness-breakpoints --sweep {input.sweep:q}"
         " --subject-yaml {input.subject:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
 
 

@@ -139,6 +139,24 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     write_table(out, COLUMNS, rows)
 
 
+def digest(d: Mapping[str, Any]) -> str:
+    """The answer of diagnosis.json on a page of the whole study: verdict, place, causes, next trial."""
+    ranked = sorted(d["probabilities"].items(), key=lambda item: -item[1])
+    closed = {cause["effect"]: cause.get("gap_closed") for cause in d["causes"]}
+    rows = [
+        [escape(_words(name)), _probability(p), percent(closed.get(name))]
+        for name, p in ranked[:5]
+        if p > 5e-4
+    ]
+    causes = table(
+        ["Cause", "Probability", "Gap closed"],
+        rows,
+        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(d['held_out'])}",
+        numeric=(2,),
+    )
+    return "\n".join([*_lead(d), paragraph(_place(d)), causes])
+
+
 # ---- words
 
 
@@ -335,19 +353,23 @@ def _panels(d: Mapping[str, Any], groups: Mapping[str, Mapping[str, float]], nam
         return picture(figure, name, f"Bars of shares. Largest by group. {top}.", caption)
 
 
-def _where(d: Mapping[str, Any]) -> str:
-    place, regime = _groups(d)
+def _place(d: Mapping[str, Any]) -> str:
+    """Where the gap lies, in a sentence."""
     stage = STAGES.get(d["where"]["stage"], d["where"]["stage"])
     axes = _listed(_main_axes(d) or ["no axis"])
     if d["verdict"] == "none":
-        text = (
+        return (
             "There is no gap to place: the shares below only say where chance put the small excess over noise, and the "
             "stage is that of effects with next to no probability."
         )
-    elif d["verdict"] == "unknown":
-        text = f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}."
-    else:
-        text = f"The gap lies most likely in the {stage}, along {axes}."
+    if d["verdict"] == "unknown":
+        return f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}."
+    return f"The gap lies most likely in the {stage}, along {axes}."
+
+
+def _where(d: Mapping[str, Any]) -> str:
+    place, regime = _groups(d)
+    text = _place(d)
     rows = [
         [escape(key), escape(title), percent(share, 1)]
         for title, group in (place | regime).items()

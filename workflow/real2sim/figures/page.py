@@ -1,4 +1,4 @@
-"""One look for the pages that carry everything in themselves: no script, no file beside them, light and dark.
+"""One look for the pages that carry everything in themselves: no file beside them, light and dark.
 
 Figures are SVG inside the page. Their text is the page's and their colours are its variables, so that both follow the
 reader's light or dark setting.
@@ -29,8 +29,6 @@ _COLOURS = {
     style.ORANGE: ("orange", "#c98a00", style.ORANGE),
 }
 _RC: Any = style.RC | {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "real2sim",
     "figure.facecolor": "none",
     "savefig.facecolor": "none",
     "axes.facecolor": "none",
@@ -39,7 +37,8 @@ _VARIABLES = ("; ".join(f"--{name}: {row[i]}" for name, *row in _COLOURS.values(
 _LIGHT, _DARK = _VARIABLES
 _STYLE = f"""
 :root {{ color-scheme: light dark; {_LIGHT}; --line: #cfcfcf; --tint: #f3f5f7; --warn: #fdf1e8 }}
-@media (prefers-color-scheme: dark) {{ :root {{ {_DARK}; --line: #3d434a; --tint: #1f242a; --warn: #3a2618 }} }}
+@media screen and (prefers-color-scheme: dark) {{ :root {{ {_DARK};
+  --line: #3d434a; --tint: #1f242a; --warn: #3a2618 }} }}
 """ + (
     """
 * { box-sizing: border-box }
@@ -61,6 +60,7 @@ svg.plot text { font-family: system-ui, sans-serif !important }
 .scroll { overflow-x: auto }
 table { border-collapse: collapse; font-size: 0.9rem; margin: 0.4rem 0; max-width: 100% }
 caption { text-align: left; color: var(--muted); padding-bottom: 0.3rem }
+caption span { display: inline-block; position: sticky; left: 0; max-width: min(46rem, calc(100vw - 2rem)) }
 th, td { padding: 0.25rem 0.7rem 0.25rem 0; border-bottom: 1px solid var(--line); text-align: left;
   vertical-align: top }
 th { font-weight: 600 }
@@ -70,6 +70,20 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; wh
 .bar > span { display: block; height: 100%; background: var(--blue) }
 .met { color: var(--green); font-weight: 600 }
 .missed { color: var(--vermilion); font-weight: 600 }
+.warned { font-weight: 600 }
+.met, .missed, .warned { white-space: nowrap }
+.contents { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; list-style: none; padding: 0; max-width: none }
+a { color: var(--blue) }
+:focus-visible { outline: 3px solid var(--blue); outline-offset: 2px }
+button { font: inherit; color: var(--ink); background: var(--tint); border: 1px solid var(--muted);
+  border-radius: 0.3rem; padding: 0.15rem 0.7rem; min-height: 1.75rem; cursor: pointer }
+dialog.zoom { width: 96vw; max-width: none; height: 94vh; max-height: none; padding: 0.8rem; color: var(--ink);
+  background: var(--paper); border: 1px solid var(--muted) }
+dialog.zoom[open] { display: flex; flex-direction: column }
+dialog.zoom h2 { border: 0; margin: 0; padding: 0 }
+.bar-of-tools { display: flex; justify-content: space-between; gap: 1rem; padding-bottom: 0.5rem }
+.sheet { overflow: auto; flex: 1; min-height: 0 }
+.sheet svg.plot { width: calc(100% * var(--size, 1)); max-width: none }
 .nowrap { white-space: nowrap }
 code { font-size: 0.85em; overflow-wrap: anywhere }
 details { margin: 0.5rem 0 }
@@ -82,6 +96,14 @@ footer { margin-top: 2.5rem; padding-top: 0.8rem; border-top: 1px solid var(--li
   .lead { font-size: 1.1rem }
   .bar { display: block; width: 100%; min-width: 3.5rem }
 }
+@media print {
+  main { max-width: none; padding: 0 }
+  .tools, .contents { display: none }
+  .scroll { overflow: visible }
+  figure, tr, .notice { break-inside: avoid }
+  h2, h3, caption { break-after: avoid }
+  table { font-size: 0.72rem }
+}
 """.strip()
 )
 
@@ -91,8 +113,11 @@ def page_style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(_RC)
 
 
-def document(title: str, body: Sequence[str], *, phantom: bool) -> str:
-    """The whole page; ``body`` are its sections after the heading, ``title`` is plain text."""
+def document(title: str, body: Sequence[str], *, phantom: bool, script: str = "") -> str:
+    """The whole page; ``body`` are its sections after the heading, ``title`` is plain text.
+
+    ``script`` may add to the page but is not needed to read it.
+    """
     notice = ""
     if phantom:
         text = f"{style.PHANTOM_LABEL}: every number and figure here rests on synthetic people, not on measurements."
@@ -104,7 +129,9 @@ def document(title: str, body: Sequence[str], *, phantom: bool) -> str:
             f"<style>\n{_STYLE}\n</style>\n</head>\n<body>\n<main>\n<h1>{escape(title)}</h1>",
             *([notice] if notice else []),
             *body,
-            "</main>\n</body>\n</html>\n",
+            "</main>",
+            *([f"<script>\n{script}\n</script>"] if script else []),
+            "</body>\n</html>\n",
         ]
     )
 
@@ -128,9 +155,12 @@ def picture(figure: Figure, name: str, alt: str, caption: str, *, wide: bool = F
     ``wide`` keeps it legible on a narrow screen by scrolling.
     """
     stream = io.StringIO()
-    nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    figure.savefig(stream, format="svg", metadata=nothing)
-    content = stream.getvalue()
+    figure.savefig(stream, format="svg", metadata=style.SVG_METADATA)
+    return inline(stream.getvalue(), name, alt, caption, wide=wide)
+
+
+def inline(content: str, name: str, alt: str, caption: str, *, wide: bool = False) -> str:
+    """An SVG file's content as a figure of the page, see `picture`."""
     root = re.search(r"<svg[^>]*viewBox=\"([^\"]+)\"[^>]*>", content)
     assert root is not None
     inside = re.sub(r"<metadata>.*?</metadata>", "", content[root.end() :], flags=re.DOTALL)
@@ -169,7 +199,7 @@ def table(
     label = escape(caption, quote=True)
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">\n'
-        f"<table>\n<caption>{escape(caption)}</caption>\n"
+        f"<table>\n<caption><span>{escape(caption)}</span></caption>\n"
         f"<thead><tr>{top}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>\n</div>"
     )
 

@@ -49,7 +49,13 @@ RC: Any = {
     "figure.dpi": PNG_DPI,
     "savefig.dpi": PNG_DPI,
     "pdf.fonttype": 42,
+    # text of an SVG stays text, which a page sets in its own colour
+    "svg.fonttype": "none",
+    "svg.hashsalt": "real2sim",
 }
+
+
+SVG_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def new_figure(
@@ -115,10 +121,11 @@ def signed(value: float, digits: int) -> str:
 
 
 def save(figure: Figure, out: Iterable[Path]) -> None:
-    """Write the figure once per path (.png or .pdf), byte for byte the same for the same data."""
+    """Write the figure once per path (.png, .pdf or .svg), byte for byte the same for the same data."""
     metadata: dict[str, dict[str, Any]] = {
         ".png": {"Software": None},
         ".pdf": {"CreationDate": None, "Producer": None, "Creator": None},
+        ".svg": SVG_METADATA,
     }
     with matplotlib.rc_context(RC):
         for path in out:

@@ -14,6 +14,7 @@ from real2sim.identification.trial import TrialModel, trial_model, with_step
 from real2sim.provenance import fingerprint
 from real2sim.quality.verdict import overridden_gates
 from real2sim.statistics.loso import leave_one_out_prior, overhead
+from real2sim.statistics.shareability import read_fits_table
 
 _FIT_KEYS = ("subject", "trial", "restart", "parameters", "cost")
 
@@ -107,8 +108,8 @@ def cross_trial(
 def loso_subject(
     *,
     subject: str,
-    cohort: list[str],
     fits: list[Path],
+    cohort: Path,
     poses: list[Path],
     markers: list[Path],
     limits: Path,
@@ -120,22 +121,24 @@ def loso_subject(
 ) -> None:
     """Deploy the prior of the others on one person, with that person's own joint limits (paper, eq. 7).
 
-    ``fits`` are those of all people of ``cohort`` and of ``subject``, who need not be one of them. With fewer
-    than ``statistics.min_subjects`` people in the cohort there is no prior of the others: the published one is
-    deployed and the file says so. M(theta*) is the mean over the trials of each trial's best fit.
+    ``fits`` are those of ``subject``, ``cohort`` is the table of all fits (`shareability`), which need not hold
+    theirs. With fewer than ``statistics.min_subjects`` people in the cohort there is no prior of the others: the
+    published one is deployed and the file says so. M(theta*) is the mean over the trials of each trial's best fit.
     """
     records = [read_json(path, _FIT_KEYS) for path in fits]
+    everyone = read_fits_table(cohort)
+    people = {r["subject"] for r in everyone}
     minimum = settings["statistics"]["min_subjects"]
     base = {"schema": 1, "subject": subject, "phantom": any(r["phantom"] for r in records)}
-    if len(cohort) < minimum:
+    if len(people) < minimum:
         table = read_table(published, ("parameter", "prior"))
         prior = {row["parameter"]: float(row["prior"]) for row in table}
-        source, status = "published", needs_people(minimum, len(cohort))
-        rests_on = [r for r in records if r["subject"] == subject]
-    else:
-        prior = leave_one_out_prior([r for r in records if r["subject"] in cohort], subject)
-        source, status = "leave-one-out", "ok"
+        source, status = "published", needs_people(minimum, len(people))
         rests_on = records
+    else:
+        prior = leave_one_out_prior(everyone, subject)
+        source, status = "leave-one-out", "ok"
+        rests_on = [*records, *everyone]
     best = _best_per_trial(records, subject)
     trials = []
     for name, model in _models(poses, markers, limits, robot, with_step(settings, step), 2).items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,19 @@ def read_fits(paths: Sequence[Path]) -> list[dict[str, Any]]:
     return sorted(fits, key=lambda f: (f["subject"], f["trial"], f["restart"]))
 
 
+def read_fits_table(path: Path) -> list[dict[str, Any]]:
+    """Fits of the table that `shareability` writes: subject, parameters [SI] and gates that were overridden."""
+    rows = read_table(path, ("subject", "overridden_gates", *map(parameter_column, PARAMETERS)))
+    return [
+        {
+            "subject": row["subject"],
+            "parameters": {name: number(row[parameter_column(name)]) for name in PARAMETERS},
+            "overridden_gates": json.loads(row["overridden_gates"] or "{}"),
+        }
+        for row in rows
+    ]
+
+
 def parameter_matrix(fits: Sequence[dict[str, Any]]) -> np.ndarray:
     """Parameters of the fits as (n, 12), columns in the order of PARAMETERS, SI units."""
     return np.array([[fit["parameters"][n] for n in PARAMETERS] for fit in fits], float)
@@ -142,6 +156,7 @@ def _fit_row(fit: dict[str, Any]) -> dict[str, Any]:
     row["rmse_position_m"] = fit["cost"]["rmse_position_m"]
     row["at_bound"] = " ".join(fit.get("at_bound", []))
     row["overridden"] = overridden_trials([fit])
+    row["overridden_gates"] = json.dumps(fit["overridden_gates"]) if fit.get("overridden_gates") else ""
     return row | {parameter_column(n): float(fit["parameters"][n]) for n in PARAMETERS}
 
 
@@ -208,7 +223,7 @@ def shareability(*, fits: list[Path], settings: dict, out_fits: Path, out_icc: P
     records = read_fits(fits)
     parameters = [parameter_column(n) for n in PARAMETERS]
     columns = ["subject", "trial", "restart", "J", "rmse_position_m", *parameters, "at_bound"]
-    columns += ["overridden", "phantom"]
+    columns += ["overridden", "overridden_gates", "phantom"]
     write_table(out_fits, columns, [_fit_row(fit) for fit in records])
     missing = _missing(records, settings["min_subjects"])
     rows = [{"status": missing} for _ in PARAMETERS] if missing else _icc_rows(records, settings)

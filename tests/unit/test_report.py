@@ -1,0 +1,209 @@
+"""The report of a study: whole, valid, self-contained, and usable in a browser without a network."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+from pathlib import Path
+
+import pytest
+from real2sim.artefacts import write_json
+from real2sim.figures.report import report_page
+from synthetic_study import REMEDY, write_study
+from test_pages import _diagnosis, _Page
+
+from tests.browser import browser, chromium
+
+WIDTHS = (400, 1400)
+AXE = os.environ.get("REAL2SIM_AXE", "")
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22a", "wcag22aa"]
+
+
+def _report(folder: Path, diagnosed: bool = True, **changes) -> tuple[Path, dict]:
+    arguments = write_study(folder, **changes)
+    diagnoses = []
+    if diagnosed:
+        diagnoses = [folder / "diagnosis.json"]
+        write_json(diagnoses[0], _diagnosis())
+    out = folder / "report.html"
+    report_page(**arguments, title="Study <one> & all", out=out, diagnoses=diagnoses)
+    return out, arguments
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory) -> tuple[Path, dict]:
+    return _report(tmp_path_factory.mktemp("report"))
+
+
+def _parsed(path: Path) -> tuple[_Page, str]:
+    content = path.read_text(encoding="utf-8")
+    page = _Page()
+    page.feed(content)
+    return page, content
+
+
+def test_page_is_whole_and_loads_nothing(report):
+    page, content = _parsed(report[0])
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    assert all(r.startswith("data:") or r[1:] in page.ids for r in page.references)
+    assert all(r in page.ids for r in re.findall(r"url\(#([^)]+)\)", content))
+    assert not re.search(r"https?:|@import|url\((?!#)|\bnan\b", re.sub(r"data:[^\"]+", "", content))
+    assert page.headings[0] == 1
+    assert page.headings.count(1) == 1
+    assert page.wordless == 0
+    assert "Study <one> & all" in page.text
+
+
+def test_every_part_of_the_study_is_told(report):
+    page, _ = _parsed(report[0])
+    for heading in ("cohort", "quality", "tightness", "identification", "priors", "diagnosis", "provenance"):
+        assert heading in page.ids
+    assert (
+        "4 people are calibrated and 1 kept for validation; of 15 trials 5 are warned about and 5 refused"
+        in page.text
+    )
+    assert "3 times what noise alone costs" in page.text
+    assert "24 of 96 values are determined" in page.text
+    assert REMEDY in page.text
+    assert "a dynamic trial with holds" in page.text
+    assert "0123456789abcdef" in page.text
+    assert "Slack causes the gap" in page.text
+    assert "1.28" in page.text, "the paper's own cost"
+
+
+def test_every_table_and_figure_can_be_taken_away(report):
+    path, given = report
+    content = path.read_text(encoding="utf-8")
+    links = dict(re.findall(r'download="([^"]+)" href="data:[^;]+;base64,([^"]+)"', content))
+    files = {
+        p.name: p
+        for p in (given[n] for n in ("quality", "cross_trial", "identifiability", "icc", "priors", "loso"))
+    }
+    files |= {p.name: p for p in given["figures"]}
+    assert {name: base64.b64decode(data) for name, data in links.items()} == {
+        name: file.read_bytes() for name, file in files.items()
+    }
+
+
+def test_a_section_stands_where_what_it_tells_of_exists(tmp_path):
+    page, content = _parsed(_report(tmp_path, diagnosed=False)[0])
+    assert "diagnosis" not in page.ids
+    assert "Diagnosis" not in content
+
+
+@pytest.mark.parametrize("phantom", [True, False])
+def test_page_says_that_the_data_are_synthetic_only_where_they_are(tmp_path, phantom):
+    page, _ = _parsed(_report(tmp_path, phantom=phantom, diagnosed=False)[0])
+    assert ("rests on synthetic people" in page.text) is phantom
+
+
+def test_what_is_missing_or_overridden_is_said_at_the_top(tmp_path):
+    page, _ = _parsed(_report(tmp_path, people=1, overridden="S01/dynamic_1", diagnosed=False)[0])
+    top = page.text[: page.text.index("The cohort")]
+    assert "Shareability: needs at least 3 people, have 1." in top
+    assert "a gate refuses it (quality.override): S01/dynamic_1." in top
+
+
+def test_same_results_give_the_same_bytes(report, tmp_path):
+    path, given = report
+    again = tmp_path / "report.html"
+    diagnoses = [path.with_name("diagnosis.json")]
+    report_page(**given, title="Study <one> & all", out=again, diagnoses=diagnoses)
+    assert again.read_bytes() == path.read_bytes()
+
+
+# -------------------- in a browser
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    program = chromium()
+    if program is None:
+        pytest.skip("no Chromium: install Debian's package chromium, or name one by REAL2SIM_CHROMIUM")
+    with browser(program, tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
+@pytest.fixture
+def shown(tab, report):
+    """The report opened anew, and no complaint when the test is over."""
+    tab.errors.clear()
+    tab.open(report[0], 1400)
+    yield tab
+    assert tab.errors == []
+
+
+def _open_all(tab) -> None:
+    tab.run("document.querySelectorAll('details').forEach(d => { d.open = true })")
+
+
+def test_an_error_of_a_page_is_noticed(tab, tmp_path):
+    page = tmp_path / "bad.html"
+    page.write_text("<p>x</p><img src='missing.png'><script>console.error('boo'); nothing()</script>")
+    tab.errors.clear()
+    tab.open(page, 400)
+    assert any("boo" in e for e in tab.errors)
+    assert any("Uncaught" in e for e in tab.errors)
+    assert any("ERR_FILE_NOT_FOUND" in e for e in tab.errors)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_every_link_leads_somewhere_offline(shown, report, width):
+    shown.open(report[0], width)
+    links = shown.run("[...document.links].map(a => a.getAttribute('href'))")
+    assert len(links) > 10
+    for i, href in enumerate(links):
+        if href.startswith("data:"):
+            size = shown.run(f"fetch(document.links[{i}].href).then(r => r.blob()).then(b => b.size)")
+            assert size > 20
+        else:
+            shown.run(f"document.links[{i}].click()")
+            top = shown.run(f"document.querySelector({json.dumps(href)}).getBoundingClientRect().top")
+            assert -1 <= top < 900, href
+    assert shown.run("document.documentElement.scrollWidth <= innerWidth"), (
+        "the page itself does not scroll sideways"
+    )
+
+
+@pytest.mark.skipif(not AXE, reason="REAL2SIM_AXE does not name axe.min.js: npm pack axe-core holds one")
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_rule_of_accessibility_is_broken(shown, report, width, dark):
+    shown.open(report[0], width, dark=dark)
+    _open_all(shown)
+    shown.run(Path(AXE).read_text(encoding="utf-8") + ";0")
+    find = (
+        f"axe.run(document, {{runOnly: {json.dumps(RULES)}}}).then(r => "
+        "[r.passes.length, r.violations.map(v => [v.id, v.nodes[0].html, v.nodes[0].failureSummary])])"
+    )
+    passes, violations = shown.run(find)
+    assert violations == []
+    assert passes > 10, "rules were looked at"
+    shown.run("document.querySelector('table').style.color = '#999'; document.body.style.background = '#aaa'")
+    assert shown.run(find)[1], "and would have complained"
+
+
+def test_figure_is_enlarged_and_put_back_by_keyboard(shown):
+    shown.run("document.querySelector('button.enlarge').focus()")
+    shown.key("Enter", 13)
+    state = "[document.querySelector('dialog').open, document.activeElement.textContent, "
+    state += "document.querySelectorAll('dialog svg').length]"
+    assert shown.run(state) == [True, "Close", 1]
+    width = "document.querySelector('dialog svg').getBoundingClientRect().width"
+    before = shown.run(width)
+    assert before > 1000
+    shown.run("document.querySelector('dialog [aria-label=Larger]').click()")
+    assert shown.run(width) == pytest.approx(1.5 * before, rel=0.02)
+    shown.key("Escape", 27)
+    assert shown.run(state) == [False, "Enlarge", 0]
+    assert shown.run("[...document.querySelectorAll('figure')].every(f => f.querySelector('svg'))")
+
+
+def test_folded_parts_are_printed(shown, tmp_path):
+    assert shown.run("[...document.querySelectorAll('details')].some(d => !d.open)")
+    shown.pdf(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert shown.run("[...document.querySelectorAll('details')].every(d => d.open)")

@@ -1,0 +1,84 @@
+"""The tutorial's commands, run as they are written by someone who has a clean clone and nothing else.
+
+The budget in config/quick.yaml and the phantom's trials are the miniature's, so that it takes a minute.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.conftest import ROOT, miniature
+
+COMMANDS = re.findall(
+    r"^```sh\n(.+?)^```", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8"), re.S | re.M
+)
+
+
+def _shell(command: str, folder: Path) -> str:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", command],
+        cwd=folder,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"PATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory) -> tuple[Path, list[str]]:
+    """Where the commands were run, and what each of them but the last said."""
+    study = miniature(tmp_path_factory.mktemp("tutorial") / "project")
+    quick = {"identification": {"restarts": 1, "evaluations": 44}, "statistics": {"bootstrap": 100}}
+    quick |= {"tightness": {"bootstrap": 100, "permutations": 100}}
+    (study.folder / "config" / "quick.yaml").write_text(yaml.safe_dump(quick), encoding="utf-8")
+    assert COMMANDS[-1].startswith("rm -r")
+    return study.folder, [_shell(command, study.folder) for command in COMMANDS[:-1]]
+
+
+def test_the_tutorial_ends_where_it_says(told):
+    folder, said = told
+    assert "dynamic_1.mcap" in said[0]
+    assert "fit" in said[3]
+    assert "Nothing to be done" in said[-1]
+    for name in (
+        "results/quality/P01/gates.png",
+        "results/quality/quality.csv",
+        "results/motion/P01/dynamic_1.mcap",
+    ):
+        assert (folder / name).exists(), name
+    page = (folder / "results" / "report.html").read_text(encoding="utf-8")
+    assert "P01" in page
+    assert "needs at least 2 people, have 1" in page
+    assert not (folder / "results" / "fits" / "S01").exists(), "the phantom steps aside"
+
+
+def test_the_person_can_be_taken_out_again(told):
+    folder, _ = told
+    _shell(COMMANDS[-1], folder)
+    assert not (folder / "resources" / "subjects" / "P01").exists()
+
+
+def test_links_of_the_guides_lead_somewhere():
+    pages = [
+        ROOT / "docs" / "tutorial.md",
+        *(ROOT / "docs").glob("how-to/*.md"),
+        ROOT / "docs" / "cluster.md",
+    ]
+    assert len(pages) >= 6
+    for page in [*pages, ROOT / "docs" / "motion.md"]:
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -1,0 +1,690 @@
+"""The page of a study: one file that holds its figures and tables, needs nothing beside it and is read offline.
+
+A section stands where what it tells of exists; a later stage adds one by adding its function to `_SECTIONS`.
+"""
+
+from __future__ import annotations
+
+import base64
+import statistics
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from real2sim.artefacts import number, read_json, read_table
+from real2sim.figures.diagnosis import digest
+from real2sim.figures.page import bar, document, inline, paragraph, percent, rounded, section, table
+from real2sim.figures.style import signed
+from real2sim.files import write_text
+from real2sim.identification.parameters import PARAMETERS, unit
+from real2sim.quality.verdict import PASS, REFUSE, WARN, worst
+
+Row = dict[str, str]
+
+VERDICTS = ("determined", "weak", "not determined", "at bound")
+_MARKS = {
+    "determined": "\N{CHECK MARK}",
+    "weak": "\N{ALMOST EQUAL TO}",
+    "not determined": "\N{MULTIPLICATION SIGN}",
+    "at bound": "\N{LEFTWARDS ARROW TO BAR OVER RIGHTWARDS ARROW TO BAR}",
+    PASS: "\N{CHECK MARK}",
+    WARN: "!",
+    REFUSE: "\N{MULTIPLICATION SIGN}",
+}
+_GOOD, _BAD = ("determined", PASS), ("not determined", REFUSE)
+_DASH = "\N{EN DASH}"
+
+# By the name of the figure's file: title, and what it shows with units and place in the paper
+FIGURES = {
+    "tightness": (
+        "Tightness sweep",
+        "Allowable motion against normalised tightness (no unit; 0 is the selected level, positive is "
+        "tighter). (a, b) "
+        "Range of translation in mm. (c) Range of pelvic rotation of either side in deg, with the pooled two-segment "
+        "regression, its slopes in deg per unit of normalised tightness, and the knee with its interval (grey band). "
+        "Paper: Fig. 3.",
+    ),
+    "convergence": (
+        "Convergence",
+        "Best cost J so far (no unit, logarithmic) against cost evaluations, a row per person and a column "
+        "per dynamic "
+        "trial; restarts grey, the best one blue. Dashed: what measurement noise alone costs, from the "
+        "person's neutral "
+        "trial. Paper: Fig. 4, top.",
+    ),
+    "icc": (
+        "Shareability",
+        "(a) ICC(1,1) (no unit) of each parameter with the cluster bootstrap's percentile interval and the exact F "
+        "interval; zones are the class limits. (b) Every fit over the geometric mean of all (no unit, logarithmic), "
+        "shaded by class. Paper: Fig. 4, middle.",
+    ),
+    "loso": (
+        "Leave one subject out",
+        "What the prior of the others costs the person left out: overhead over their own best fit in %, for "
+        "cost J and "
+        "for position RMSE. Paper: Fig. 4, bottom, and eq. 7.",
+    ),
+}
+
+_SCRIPT = """
+(() => {
+  const box = document.createElement('dialog');
+  box.className = 'zoom';
+  box.setAttribute('aria-labelledby', 'zoom-title');
+  box.innerHTML = '<div class="bar-of-tools"><h2 id="zoom-title"></h2><span><button type="button" value="-0.5" '
+    + 'aria-label="Smaller">\\u2212</button> <button type="button" value="0.5" aria-label="Larger">+</button> '
+    + '<button type="button" value="close">Close</button></span></div>'
+    + '<div class="sheet" tabindex="0" role="region" aria-label="Figure, scrolls"></div>';
+  document.body.append(box);
+  const sheet = box.querySelector('.sheet');
+  let home = null, drawing = null, size = 1;
+  const fit = (value) => { size = Math.min(6, Math.max(1, value)); sheet.style.setProperty('--size', size); };
+  box.addEventListener('click', (event) => {
+    const button = event.target.closest('button');
+    if (!button) return;
+    if (button.value === 'close') box.close(); else fit(size + Number(button.value));
+  });
+  box.addEventListener('close', () => { home.prepend(drawing); home.querySelector('button').focus(); });
+  for (const button of document.querySelectorAll('button.enlarge')) {
+    button.hidden = false;
+    button.addEventListener('click', () => {
+      home = button.closest('figure');
+      drawing = home.firstElementChild;
+      box.querySelector('h2').textContent = button.dataset.title;
+      sheet.replaceChildren(drawing);
+      fit(1);
+      box.showModal();
+      box.querySelector('[value=close]').focus();
+    });
+  }
+  addEventListener('beforeprint', () => { for (const d of document.querySelectorAll('details')) d.open = true; });
+})();
+""".strip()
+
+
+@dataclass
+class Study:
+    """What the page tells of; tables are rows of text, empty where there are none."""
+
+    people: dict[str, str]
+    figures: dict[str, Path]
+    quality: list[Row]
+    breakpoints: list[dict[str, Any]]
+    tightness: dict[str, Any]
+    cross_trial: list[Row]
+    identifiability: list[Row]
+    icc: list[Row]
+    priors: list[Row]
+    loso: list[Row]
+    fits: list[dict[str, Any]]
+    diagnoses: list[dict[str, Any]]
+    files: dict[str, Path] = field(default_factory=dict)
+
+
+def report_page(
+    *,
+    people: dict,
+    figures: list[Path],
+    quality: Path,
+    tightness: Path,
+    breakpoints: list[Path],
+    cross_trial: Path,
+    identifiability: Path,
+    icc: Path,
+    priors: Path,
+    loso: Path,
+    fits: list[Path],
+    title: str,
+    out: Path,
+    diagnoses: list[Path] | None = None,
+) -> None:
+    """Write the report of a study: cohort, gates, tightness, identification, priors, diagnoses, provenance.
+
+    Parameters
+    ----------
+    people
+        Cohort (calibration or validation) of everyone, by id.
+    figures
+        SVG files, by the names in `FIGURES`.
+    quality, tightness, breakpoints, cross_trial, identifiability, icc, priors, loso
+        Files of the stages that bear these names.
+    fits
+        All fit files, for what they rest on.
+    diagnoses
+        diagnosis.json of those who have one.
+    """
+    tables = {
+        "quality": quality,
+        "cross_trial": cross_trial,
+        "identifiability": identifiability,
+        "icc": icc,
+        "priors": priors,
+        "loso": loso,
+    }
+    study = Study(
+        people=people,
+        figures={path.stem: path for path in figures},
+        breakpoints=[read_json(path, ("subject", "operating_point")) for path in breakpoints],
+        tightness=read_json(tightness, ("status", "pooled")),
+        fits=[read_json(path, ("subject", "trial", "cost", "settings", "provenance")) for path in fits],
+        diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
+        files=tables,
+        **{name: read_table(path) for name, path in tables.items()},
+    )
+    parts = {name: make(study) for name, make in _SECTIONS.items()}
+    shown = [part for part in parts.values() if part]
+    contents = "".join(
+        f'<li><a href="#{name}">{escape(_heading(part))}</a></li>' for name, part in parts.items() if part
+    )
+    phantom = any(fit["phantom"] for fit in study.fits)
+    body = [
+        *_notices(study),
+        _lead(study),
+        f'<nav aria-label="Contents"><ul class="contents">{contents}</ul></nav>',
+        *shown,
+        _provenance(study),
+    ]
+    write_text(out, document(title, body, phantom=phantom, script=_SCRIPT))
+
+
+def _heading(part: str) -> str:
+    return part.split("</h2>")[0].rsplit(">", 1)[1]
+
+
+# -------------------- parts of a page
+
+
+def _download(name: str, content: bytes, kind: str) -> str:
+    """A link that holds the file itself."""
+    data = base64.b64encode(content).decode()
+    return f'<a download="{escape(name, quote=True)}" href="data:{kind};base64,{data}">{escape(name)}</a>'
+
+
+def _file(study: Study, *names: str) -> str:
+    """The tables behind a section, to take away."""
+    links = [
+        _download(path.name, path.read_bytes(), "text/csv") for path in (study.files[name] for name in names)
+    ]
+    return f'<p class="small tools">All numbers: {", ".join(links)}</p>'
+
+
+def _figure(study: Study, name: str) -> str:
+    """A figure with a button that enlarges it and a link that takes it away."""
+    path = study.figures.get(name)
+    if path is None:
+        return ""
+    title, text = FIGURES[name]
+    content = path.read_text(encoding="utf-8")
+    shown = inline(content, name, f"{title}. {text}", text)
+    quoted = escape(title, quote=True)
+    tools = (
+        f'<p class="small tools"><button type="button" class="enlarge" data-title="{quoted}" hidden '
+        f'aria-label="Enlarge: {quoted}">Enlarge</button> '
+        f"{_download(path.name, path.read_bytes(), 'image/svg+xml')}</p>"
+    )
+    return shown.replace("</figure>", f"{tools}</figure>")
+
+
+def _folded(summary: str, inside: str, *, open_: bool = False) -> str:
+    """Markup behind a line of plain text."""
+    return f"<details{' open' if open_ else ''}><summary>{escape(summary)}</summary>\n{inside}\n</details>"
+
+
+def _verdict(name: str, text: str = "") -> str:
+    """A verdict as word and mark: never colour alone."""
+    kind = "met" if name in _GOOD else "missed" if name in _BAD else "warned"
+    return f'<span class="{kind}">{_MARKS[name]} {escape(text or name)}</span>'
+
+
+def _value(text: str, digits: int = 3) -> str:
+    return rounded(number(text), digits) if text else _DASH
+
+
+def _percent_of(text: str) -> str:
+    return percent(number(text) / 100, 1) if text else _DASH
+
+
+def _interval(low: str, high: str) -> str:
+    return f"[{_value(low)}, {_value(high)}]" if low or high else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if names else "none"
+
+
+def _of(rows: Sequence[Row], **wanted: str) -> list[Row]:
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
+def _person(rows: Sequence[Row], name: str) -> Row | None:
+    return next((row for row in rows if row["subject"] == name), None)
+
+
+# -------------------- the top
+
+
+def _notices(study: Study) -> list[str]:
+    """What has to be known before any number is believed."""
+    notices = []
+    for name, rows in (
+        ("Shareability", study.icc),
+        ("Leave one subject out", study.loso),
+        ("Cross-trial", study.cross_trial),
+    ):
+        wanting = {row["status"] for row in rows if row.get("status", "").startswith(("needs", "only"))}
+        notices += [f"{name}: {status}." for status in sorted(wanting)]
+    refused = {
+        trial
+        for rows in (study.icc, study.loso, study.identifiability, study.cross_trial, study.priors)
+        for row in rows
+        for trial in row.get("overridden", "").split()
+    }
+    if refused:
+        listed = ", ".join(sorted(refused))
+        notices.append(
+            f"Fitted although a gate refuses it (quality.override): {listed}. All results rest on it."
+        )
+    return [f'<p class="notice">{escape(text)}</p>' for text in notices]
+
+
+def _trials(study: Study) -> dict[tuple[str, str], str]:
+    """Gravest verdict of the gates on each trial."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in study.quality:
+        found.setdefault((row["subject"], row["trial"]), []).append(row["verdict"])
+    return {key: worst(verdicts) for key, verdicts in found.items()}
+
+
+def _over_floor(study: Study, name: str) -> float | None:
+    row = _person(study.cross_trial, name)
+    if row is None or not row["J_within_mean_1"] or not row["J_floor_1"]:
+        return None
+    return number(row["J_within_mean_1"]) / number(row["J_floor_1"])
+
+
+def _lead(study: Study) -> str:
+    kinds = Counter(study.people.values())
+    gates = Counter(_trials(study).values())
+    text = (
+        f"{kinds['calibration']} people are calibrated"
+        + (f" and {kinds['validation']} kept for validation" if kinds["validation"] else "")
+        + f"; of {gates.total()} trials {gates[WARN]} are warned about and {gates[REFUSE]} refused."
+    )
+    over = [value for value in (_over_floor(study, name) for name in study.people) if value is not None]
+    if over:
+        times = rounded(statistics.median(over))
+        text += f" The best fits cost {times} times what noise alone costs (median of people)."
+    verdicts = Counter(row["verdict"] for row in study.identifiability)
+    if verdicts:
+        text += f" {verdicts['determined']} of {verdicts.total()} values are determined by their trial."
+    return paragraph(text, "lead")
+
+
+# -------------------- sections
+
+
+def _cohort(study: Study) -> str:
+    gates, points = _trials(study), {b["subject"]: b["operating_point"] for b in study.breakpoints}
+    diagnosed = {d["subject"]: d for d in study.diagnoses}
+    rows = []
+    for name, kind in study.people.items():
+        own = Counter(verdict for (person, _), verdict in gates.items() if person == name)
+        cross, loso = _person(study.cross_trial, name), _person(study.loso, name)
+        verdicts = Counter(row["verdict"] for row in _of(study.identifiability, subject=name))
+        grave = worst(own)
+        row = [
+            escape(name),
+            escape(kind),
+            str(own.total()),
+            _verdict(grave, f"{own[grave]} {grave}" if grave != PASS else "pass"),
+            rounded(points.get(name, {}).get("selected_cm"), 3),
+            _value(cross["J_within_mean_1"]) if cross else _DASH,
+            _value(cross["J_floor_1"]) if cross else _DASH,
+            f"{verdicts['determined']} of {verdicts.total()}" if verdicts else _DASH,
+            _percent_of(loso["overhead_J_percent"]) if loso else _DASH,
+        ]
+        if study.diagnoses:
+            d = diagnosed.get(name)
+            row.append(escape(_words(d["verdict"])) if d else _DASH)
+        rows.append(row)
+    head = [
+        "Person",
+        "Cohort",
+        "Trials",
+        "Gates",
+        "T* [cm]",
+        "J",
+        "J of noise",
+        "Determined",
+        "LOSO overhead",
+    ]
+    caption = (
+        "Everyone of the study. J: mean over the dynamic trials of the best fit's cost; J of noise: what "
+        "measurement noise "
+        "alone costs; determined: values that their trial determines; LOSO overhead: what the prior of the "
+        "others costs, in J."
+    )
+    return section(
+        "cohort",
+        "The cohort",
+        table(
+            head + (["Diagnosis"] if study.diagnoses else []), rows, caption=caption, numeric=(2, 4, 5, 6, 8)
+        ),
+    )
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _gates(study: Study) -> str:
+    trials = _trials(study)
+    counts = {
+        name: Counter(v for (person, _), v in trials.items() if person == name) for name in study.people
+    }
+    rows = [
+        [escape(name), *(str(counts[name][verdict]) for verdict in (PASS, WARN, REFUSE))]
+        for name in study.people
+    ]
+    summary = table(
+        ["Person", "Pass", "Warn", "Refuse"],
+        rows,
+        caption="Trials by the gravest verdict of their gates, before anything is fitted",
+        numeric=(1, 2, 3),
+    )
+    found = [row for row in study.quality if row["verdict"] != PASS]
+    listed = [
+        [
+            escape(f"{row['subject']} {row['trial']}"),
+            _verdict(
+                row["verdict"], row["verdict"] + (", overridden" if row["overridden"] == "true" else "")
+            ),
+            escape(_words(row["gate"])),
+            escape(row["message"]),
+            escape(row["remedy"]),
+        ]
+        for row in found
+    ]
+    if not listed:
+        return section(
+            "quality",
+            "Quality of the recordings",
+            summary,
+            paragraph("No gate warns or refuses."),
+            _file(study, "quality"),
+        )
+    detail = table(
+        ["Trial", "Verdict", "Gate", "What was found", "What helps"],
+        listed,
+        caption="Every warning and refusal. A refused trial stops its fit unless it is overridden by name",
+    )
+    body = _folded(f"{len(listed)} warnings and refusals", detail, open_=len(listed) <= 12)
+    return section("quality", "Quality of the recordings", summary, body, _file(study, "quality"))
+
+
+def _tightness(study: Study) -> str:
+    pooled = study.tightness["pooled"]
+    rows = [
+        [
+            {"dphi": "Pelvic rotation", "dx": "Forward and back", "dy": "Left and right"}.get(
+                name, escape(name)
+            ),
+            escape(about["status"]),
+            _verdict("determined", "yes") if about.get("exists") else "no",
+            rounded(about.get("breakpoint")) if about.get("exists") else _DASH,
+            rounded(about.get("p_value")),
+            str(about.get("n_subjects", _DASH)),
+        ]
+        for name, about in pooled.items()
+    ]
+    regressions = table(
+        ["Motion", "Status", "Breakpoint", "At normalised tightness", "p", "People"],
+        rows,
+        caption="Is there a level beyond which a tighter strap takes motion away? Two-segment regression of "
+        "all people",
+        numeric=(3, 4, 5),
+    )
+    points = [
+        [
+            escape(b["subject"]),
+            rounded(b["operating_point"].get("selected_cm")),
+            rounded(b["operating_point"].get("knee_cm")),
+            _centimetres(b["operating_point"].get("difference_cm")),
+            escape(str(b["operating_point"].get("status", ""))),
+        ]
+        for b in study.breakpoints
+    ]
+    chosen = table(
+        ["Person", "Selected [cm]", "Knee [cm]", "Difference [cm]", "Status"],
+        points,
+        caption="Operating point T*: what was selected in the lab beside the knee of the person's own sweep",
+        numeric=(1, 2, 3),
+    )
+    return section(
+        "tightness",
+        "Tightness and operating point",
+        f'<div class="grid">{_figure(study, "tightness")}<div>{regressions}{chosen}</div></div>',
+    )
+
+
+def _centimetres(value: float | None) -> str:
+    return _DASH if value is None else signed(value, 2)
+
+
+def _identification(study: Study) -> str:
+    rows = [
+        [
+            escape(row["subject"]),
+            _value(row["J_within_mean_1"], 4),
+            _value(row["J_floor_1"], 4),
+            _interval(row["J_floor_low_1"], row["J_floor_high_1"]),
+            _value(row["J_cross_mean_1"], 4),
+            _percent_of(row["overhead_percent"]),
+        ]
+        for row in study.cross_trial
+    ]
+    costs = table(
+        ["Person", "J", "J of noise", "95 % interval", "J on the other trial", "Overhead"],
+        rows,
+        caption="Cost J (no unit): mean of the best fits on their own trial, what measurement noise alone "
+        "costs, and the same "
+        "parameters on the person's other trial. Paper: section V-B.1, and its figures in the last row.",
+        numeric=(1, 2, 3, 4, 5),
+    )
+    people = list(dict.fromkeys(row["subject"] for row in study.identifiability))
+    own = "\n".join(
+        _folded(f"{name}: {_counted(study, name)}", _parameters(study, name), open_=i == 0)
+        for i, name in enumerate(people)
+    )
+    return section(
+        "identification",
+        "Identification",
+        f'<div class="grid">{_figure(study, "convergence")}<div>{costs}{_file(study, "cross_trial")}</div></div>',
+        "<h3>What each trial determines</h3>",
+        paragraph(
+            "A value that is not called determined is not a result. The interval of 95 % takes the "
+            "residuals' autocorrelation "
+            "and the noise of the pelvis markers into account."
+        ),
+        _per_parameter(study),
+        own,
+        _file(study, "identifiability"),
+    )
+
+
+def _counted(study: Study, name: str) -> str:
+    counts = Counter(row["verdict"] for row in _of(study.identifiability, subject=name))
+    return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+
+
+def _per_parameter(study: Study) -> str:
+    rows = []
+    for name in PARAMETERS:
+        counts = Counter(row["verdict"] for row in _of(study.identifiability, parameter=name))
+        if counts:
+            share = counts["determined"] / counts.total()
+            rows.append(
+                [escape(name), *(str(counts[verdict]) for verdict in VERDICTS), bar(share) + percent(share)]
+            )
+    return table(
+        ["Parameter", *(verdict.capitalize() for verdict in VERDICTS), "Determined"],
+        rows,
+        caption="Verdicts over all people and dynamic trials. Rotation about y is informed only through the "
+        "arm's pitch.",
+        numeric=(1, 2, 3, 4),
+    )
+
+
+def _parameters(study: Study, name: str) -> str:
+    mine = _of(study.identifiability, subject=name)
+    trials = list(dict.fromkeys(row["trial"] for row in mine))
+    rows = []
+    for parameter in PARAMETERS:
+        cells = [escape(parameter), escape(unit(parameter))]
+        for trial in trials:
+            found = _of(mine, parameter=parameter, trial=trial)
+            cells += _judged(found[0]) if found else [_DASH, _DASH]
+        rows.append(cells)
+    head = ["Parameter", "Unit"]
+    for trial in trials:
+        head += [_words(trial), "Verdict"]
+    reasons = [
+        [
+            escape(f"{row['parameter']}, {_words(row['trial'])}"),
+            escape(row["reason"]),
+            escape(row["next_trial"]),
+        ]
+        for row in mine
+        if row["verdict"] != "determined"
+    ]
+    why = (
+        table(["Value", "Reason", "Trial that would help"], reasons, caption=f"What {name} lacks")
+        if reasons
+        else ""
+    )
+    numeric = tuple(range(2, len(head), 2))
+    return table(head, rows, caption=f"Parameters of {name} with 95 % intervals", numeric=numeric) + why
+
+
+def _judged(row: Row) -> list[str]:
+    between = _interval(row["ci95_low"], row["ci95_high"])
+    return [f"{_value(row['value'])} <span class='small'>{between}</span>", _verdict(row["verdict"])]
+
+
+def _priors(study: Study) -> str:
+    share = {row["parameter"]: row for row in study.icc}
+    rows = [
+        [
+            escape(row["parameter"]),
+            _value(row["prior"], 4),
+            _interval(row["interval_low"], row["interval_high"]),
+            escape(row["unit"]),
+            escape(row["class"]),
+            _value(share.get(row["parameter"], {}).get("icc", "")),
+            escape(row["use"]),
+            _value(row["published_prior"], 4),
+            escape(row["published_class"]),
+        ]
+        for row in study.priors
+    ]
+    priors = table(
+        ["Parameter", "Prior", "95 % spread", "Unit", "Class", "ICC", "Use", "Published", "Published class"],
+        rows,
+        caption="Geometric mean and empirical spread of the fits, beside the paper's Table I. Where there "
+        "are too few people "
+        "the published prior stands in.",
+        numeric=(1, 2, 5, 7),
+    )
+    left_out = [
+        [
+            escape(row["subject"]),
+            _value(row["J_best"], 4),
+            _value(row["J_prior"], 4),
+            _percent_of(row["overhead_J_percent"]),
+            _percent_of(row["overhead_rmse_percent"]),
+            escape(row["status"]),
+        ]
+        for row in study.loso
+    ]
+    loso = table(
+        ["Person", "J, own fit", "J, prior of the others", "Overhead J", "Overhead RMSE", "Status"],
+        left_out,
+        caption="Leave one subject out: what the prior of the others costs the one left out. Paper: eq. 7.",
+        numeric=(1, 2, 3, 4),
+    )
+    return section(
+        "priors",
+        "What people share, and priors",
+        f'<div class="grid">{_figure(study, "icc")}{_figure(study, "loso")}</div>',
+        priors,
+        loso,
+        _file(study, "icc", "priors", "loso"),
+    )
+
+
+def _diagnoses(study: Study) -> str:
+    if not study.diagnoses:
+        return ""
+    people = "\n".join(
+        _folded(f"{d['subject']}: {_words(d['verdict'])}", digest(d), open_=i == 0)
+        for i, d in enumerate(study.diagnoses)
+    )
+    return section(
+        "diagnosis",
+        "Why simulation and measurement differ",
+        paragraph(
+            "Where the gap lies, which unmodelled effect causes it, how far it shrinks, and the next trial to record."
+        ),
+        people,
+    )
+
+
+_SECTIONS: Mapping[str, Callable[[Study], str]] = {
+    "cohort": _cohort,
+    "quality": _gates,
+    "tightness": _tightness,
+    "identification": _identification,
+    "priors": _priors,
+    "diagnosis": _diagnoses,
+}
+
+
+# -------------------- the foot
+
+
+def _distinct(values: Sequence[str]) -> str:
+    return " or ".join(dict.fromkeys(values))
+
+
+def _provenance(study: Study) -> str:
+    records = [fit["provenance"] for fit in study.fits]
+    packages = [", ".join(f"{name} {v}" for name, v in p["packages"].items()) for p in records]
+    facts = [
+        f"{len(study.fits)} fits by code {_distinct([p['code_fingerprint'] for p in records])}; Python "
+        f"{_distinct([p['python'] for p in records])}; {_distinct(packages)}.",
+        f"Search: {_distinct([_search(fit) for fit in study.fits])}.",
+    ]
+    inputs = {path: digest_ for p in records for path, digest_ in p["inputs_sha256"].items()}
+    rows = [
+        [f"<code>{escape(path)}</code>", f"<code>{digest_[:16]}</code>"]
+        for path, digest_ in sorted(inputs.items())
+    ]
+    files = table(["File", "SHA-256 (first 16)"], rows, caption="Files that the fits rest on") if rows else ""
+    return (
+        '<footer>\n<h2 id="provenance">Provenance</h2>\n'
+        + "\n".join(paragraph(text) for text in facts if study.fits)
+        + (_folded(f"{len(rows)} input files", files) if files else "")
+        + "\n</footer>"
+    )
+
+
+def _search(fit: Mapping[str, Any]) -> str:
+    ident = fit["settings"]["identification"]
+    return (
+        f"{fit['method']}, {ident['restarts']} restarts of {ident['evaluations']} evaluations, seed "
+        f"{ident['seed']}, time step "
+        f"{_distinct([str(fit['settings']['plant']['timestep_s'])])} s"
+    )

@@ -1,0 +1,48 @@
+"""Motion that can be watched in Foxglove: `snakemake motion` writes one file per fitted trial.
+
+Inputs:  canonical tables and fits of the dynamic trials, joint limits, step study, the robot twin.
+Outputs: results/motion/<SUBJECT>/<TRIAL>.mcap.
+Steps:   replay the best fit of a trial once more and write it beside what was measured. Nothing of the study asks for it.
+"""
+
+
+rule motion:
+    """All fitted trials."""
+    input:
+        [
+            f"results/motion/{name}/{trial}.mcap"
+            for name in CALIBRATION
+            for trial in PEOPLE[name].trials_of("dynamic")
+        ],
+
+
+rule motion_file:
+    """Measured and simulated interface, pelvis, robot, strap forces and residuals of one trial."""
+    input:
+        fits=expand("results/fits/{{subject}}/{{trial}}/restart-{restart}.json", restart=RESTARTS),
+        pose="results/trials/{subject}/{trial}/pose.parquet",
+        markers="results/trials/{subject}/{trial}/markers.parquet",
+        robot_log="results/trials/{subject}/{trial}/robot.parquet",
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+    output:
+        "results/motion/{subject}/{trial}.mcap",
+    log:
+        "logs/motion/{subject}/{trial}.log",
+    benchmark:
+        "logs/benchmarks/motion/{subject}/{trial}.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        settings=FIT_SETTINGS,
+        code=code("motion"),
+    shell:
+        "python -m real2sim motion --subject {wildcards.subject} --trial {wildcards.trial} --fits {input.fits:q}"
+        " --pose {input.pose:q} --markers {input.markers:q} --robot-log {input.robot_log:q} --limits {input.limits:q}"
+        " --step {input.step:q} --robot {input.robot:q} --settings {params.settings:q} --out {output:q} 2>&1"
+        " | tee {log:q}"

@@ -11,7 +11,7 @@ import pytest
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
 from real2sim.twin.env import ACTIONS, OBSERVATIONS, RootState, WalkEnv, correction_of, observe, rotations
-from real2sim.twin.evaluate import accepted, free_walk, push_battery, pushed_walk
+from real2sim.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
 from real2sim.twin.human import MIRROR, MIRROR_SIGN
 from real2sim.twin.policy import load_policy, save_policy, save_reference
 from real2sim.twin.train import Trainer, train, twin_train
@@ -210,6 +210,11 @@ def test_falls_of_a_policy_that_cannot_walk_are_counted():
     env = _env(128)
     pushed = pushed_walk(env, _still, force_n=100, minutes=2, settle_s=0.2)
     assert pushed["falls_per_minute"] > 10
+    assert not withstands(pushed, twin_settings()["acceptance"])
+    unsettled = pushed_walk(env, _still, force_n=100, minutes=1, settle_s=5)
+    assert unsettled["falls_per_minute"] is None
+    assert unsettled["falls_while_settling"] > 0
+    assert not withstands(unsettled, twin_settings()["acceptance"])
     battery = push_battery(env, _still, force_n=100, lasts_s=0.2, settle_s=1.2, after_s=2)
     assert battery["survived_share"] < 0.2
     with pytest.raises(ValueError, match="128"):

@@ -73,14 +73,18 @@ def twin_figure(*, coupled: list[Path], out: list[Path]) -> None:
             _band(simulated, first["free"][joint], style.BLACK, "no robot")
             for condition in _main_conditions(first):
                 _band(simulated, condition["joints"][joint], CONDITIONS[condition["name"]], condition["name"])
+            for axes in (real, simulated):
+                if not axes.lines:
+                    style.say(axes, "no whole stride")
             style.panel_letter(real, "abc"[column], f"{name}, measured")
             style.panel_letter(simulated, "def"[column], f"{name}, simulated")
             simulated.set_xlabel("gait cycle (%)")
             if column == 0:
                 real.set_ylabel("angle (deg)")
                 simulated.set_ylabel("angle (deg)")
-                real.legend()
-                simulated.legend()
+                for axes in (real, simulated):
+                    if axes.get_legend_handles_labels()[0]:
+                        axes.legend()
         _clouds(figure.add_subplot(grid[2, :2]), first)
         _changes(figure.add_subplot(grid[2, 2]), records)
         style.save(figure, out)

@@ -158,12 +158,15 @@ def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settl
     """Falls per minute under pushes of up to ``force_n`` [N] per horizontal axis, after settling.
 
     Whoever falls or leaves the lane starts again noise-free, with a settling time of its own that does not count.
+    ``falls_per_minute`` is None where so many fall while settling that the minutes are not reached.
     """
     n, settle = env.nsim, round(settle_s / env.control_s)
     env.reset(np.arange(n), 0.0, np.arange(n) / n)
     falls = exits = early = 0
-    counted = 0.0
-    while counted < minutes:
+    counted = walked = 0.0
+    # who never settles would never be counted: three times the minutes, settling included, are enough to say so
+    while counted < minutes and walked < 3 * minutes:
+        walked += n * env.control_s / 60
         env.push_force = force_n
         # nobody is pushed while settling
         env._push_next[env.age < settle] = np.maximum(env._push_next[env.age < settle], 2)
@@ -182,10 +185,16 @@ def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settl
         "force_n": force_n,
         "minutes": counted,
         "falls": falls,
-        "falls_per_minute": falls / counted,
+        "falls_per_minute": falls / counted if counted >= minutes else None,
         "falls_while_settling": early,
         "lane_exits": exits,
     }
+
+
+def withstands(pushed: dict[str, Any], bars: dict[str, Any]) -> bool:
+    """Whether a pushed walk meets its bar; never where its minutes were not reached."""
+    rate = pushed["falls_per_minute"]
+    return rate is not None and rate <= bars["falls_per_minute"]
 
 
 def push_battery(

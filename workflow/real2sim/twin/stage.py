@@ -26,6 +26,7 @@ from real2sim.twin.evaluate import (
     plain,
     push_battery,
     pushed_walk,
+    withstands,
 )
 from real2sim.twin.gait import SAGITTAL
 from real2sim.twin.policy import load_policy
@@ -75,7 +76,7 @@ def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, thre
         after_s=e["battery_after_s"],
     )
     met = accepted(walk, bars)
-    met["pushes"] = pushes[0]["falls_per_minute"] <= bars["falls_per_minute"]
+    met["pushes"] = withstands(pushes[0], bars)
     met["battery"] = battery["survived_share"] >= bars["battery_share"]
     about = read_json(record, ("phantom", "seed"))
     write_json(

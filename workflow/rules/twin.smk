@@ -235,3 +235,32 @@ rule twin_figure:
         code=code("twin-figure"),
     shell:
         "python -m real2sim twin-figure --coupled {input.coupled:q} --out {output.png:q} {output.pdf:q} 2>&1 | tee {log:q}"
+
+
+rule twin_clip:
+    """A rendered walk with the robot under the prior; needs EGL or OSMesa (MUJOCO_GL) and is asked for by name."""
+    input:
+        policy=f"results/twin/{{subject}}/seed-{SEEDS[0]}/policy.npz",
+        priors="results/priors/priors.csv",
+        limits="results/limits/{subject}.json",
+        neutral="results/trials/{subject}/neutral/pose.parquet",
+        robot=ROBOT,
+    output:
+        "results/twin/{subject}/twin.gif",
+    log:
+        "logs/twin/{subject}/clip.log",
+    benchmark:
+        "logs/benchmarks/twin/{subject}/clip.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=1500,
+        runtime=10,
+    params:
+        settings=settings_of("twin", "plant"),
+        code=code("twin-clip"),
+    shell:
+        "env -u MUJOCO_GL python -m real2sim twin-clip --backend ${{MUJOCO_GL:-egl}} --policy {input.policy:q} --priors {input.priors:q}"
+        " --limits {input.limits:q} --neutral {input.neutral:q} --robot {input.robot:q} --settings {params.settings:q}"
+        " --out {output:q} 2>&1 | tee {log:q}"

@@ -8,6 +8,7 @@ code, stiffness, damping and limits as in the fits; the person's six root coordi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -225,8 +226,13 @@ class _Walkers:
         """Factor on the clock."""
         return 1.0
 
-    def run(self, seconds: float, stride: int = 2) -> Recording:
-        """Walk for ``seconds`` from phases spread over the cycle, recording every ``stride`` simulation steps."""
+    def run(
+        self, seconds: float, stride: int = 2, watch: Callable[[np.ndarray], None] | None = None
+    ) -> Recording:
+        """Walk for ``seconds`` from phases spread over the cycle, recording every ``stride`` simulation steps.
+
+        ``watch`` is shown the positions (n, nq) at every control step.
+        """
         n, policy, batch = self.n, self.policy, self.batch
         reference = policy.reference
         phase = self._phases()
@@ -257,6 +263,8 @@ class _Walkers:
             correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
             control[:, : len(JOINTS)] = servo_target(reference, phase, self.control_s, self.kp, correction)
             self._robot_command(root, control)
+            if watch is not None:
+                watch(qpos)
             fallen = (
                 (root.position[:, 2] < 0.75 * height)
                 | (root.tilt_sq > 0.3)
@@ -356,6 +364,7 @@ class CoupledWalk(_Walkers):
         spec, self.stand = coupled_spec(
             policy.body, twin["human"], robot, twin["follow"], plant, rest, limits
         )
+        self._dress(spec, robot)
         super().__init__(policy, spec, compiled(spec, robot), twin, len(conditions) * walkers, threads)
         self.conditions, self.walkers, self.rest = conditions, walkers, rest
         self.follow, self.cadence_exponent = twin["follow"], twin["coupled"]["cadence_exponent"]
@@ -366,6 +375,9 @@ class CoupledWalk(_Walkers):
         self._base = int(self._robot[0])
         self._set_conditions()
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
+
+    def _dress(self, spec: mujoco.MjSpec, robot: Path) -> None:
+        """What only a camera needs: nothing."""
 
     def _set_conditions(self) -> None:
         """Strap and robot impedances per simulation."""

@@ -194,6 +194,7 @@ class WalkEnv:
         self.lane_y = np.zeros(nsim)
         self._last = np.zeros((nsim, ACTIONS))
         self.push_force = 0.0
+        self._drag = np.zeros(nsim)
         self.sustained = False  # whether some pushes last, as a robot's drag does
         self._push_left = np.zeros(nsim, int)
         self._push_next = np.zeros(nsim, int)
@@ -201,17 +202,21 @@ class WalkEnv:
         self._height = float(reference.qpos[:, 2].mean())
         self.mirrored = np.zeros(nsim, bool)
 
-    def hold(self, share: float, damping: dict[str, float], yaw_inertia: float) -> None:
-        """Hold the pelvis of a share of the simulations as a robot would: dampers and an inertia, drawn once.
+    def hold(self, settings: dict) -> None:
+        """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
 
-        ``damping`` are the largest values of ``lateral`` [Ns/m], ``roll`` and ``yaw`` [Nms/rad], ``yaw_inertia`` of
-        the pelvis' added inertia [kg m^2].
+        ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
+        the path pulls toward a speed within ``speed`` (shares of the person's own).
         """
-        held = self.rng.uniform(size=self.nsim) < share
-        field, armature = self.batch.expand("dof_damping"), self.batch.expand("dof_armature")
-        for dof, name in ((1, "lateral"), (3, "roll"), (5, "yaw")):
-            field[:, dof] = np.where(held, self.rng.uniform(0, damping[name], self.nsim), 0.0)
-        armature[:, 5] = np.where(held, self.rng.uniform(0, yaw_inertia, self.nsim), 0.0)
+        rng, n = self.rng, self.nsim
+        held = rng.uniform(size=n) < settings["share"]
+        damping, armature = self.batch.expand("dof_damping"), self.batch.expand("dof_armature")
+        for dof, name in ((0, "along"), (1, "lateral"), (3, "roll"), (5, "yaw")):
+            damping[:, dof] = np.where(held, rng.uniform(0, settings["damping"][name], n), 0.0)
+        armature[:, 5] = np.where(held, rng.uniform(0, settings["yaw_inertia"], n), 0.0)
+        # a damper about a moving frame is a damper about the world and a constant force
+        speed = self.reference.speed * self._between(settings["speed"], n)
+        self._drag = damping[:, 0] * speed
 
     def reset(self, ids: np.ndarray, noise: float = 1.0, phase: np.ndarray | None = None) -> None:
         """Start simulations ``ids`` at a phase of the reference (random without one), with or without noise."""
@@ -226,6 +231,7 @@ class WalkEnv:
             qvel[:, 3:6] += noise * 0.08 * rng.standard_normal((n, 3))
         qpos[:, 2] += 0.002
         self._qpos[ids], self._qvel[ids], self._warm[ids], self._push[ids] = qpos, qvel, 0.0, 0.0
+        self._push[ids, 1, 0] = self._drag[ids]
         self.lane_y[ids] = 0.0
         self._last[ids] = 0.0
         self.age[ids] = 0
@@ -256,6 +262,7 @@ class WalkEnv:
         self._push_left -= 1
         ended = self._push_left == 0
         self._push[ended] = 0.0
+        self._push[ended, 1, 0] = self._drag[ended]
         begin = np.flatnonzero(self._push_next <= 0)
         if len(begin):
             push = self.settings["push"]
@@ -267,6 +274,7 @@ class WalkEnv:
                 force[long] *= share
                 seconds = np.where(long, self._between(push["sustained"]["lasts_s"], len(begin)), seconds)
             lasts = np.maximum((seconds / self.control_s).round().astype(int), 1)
+            force[:, 0] += self._drag[begin]
             self._push[begin, 1, :2] = force
             self._push_left[begin] = lasts
             self._push_next[begin] = lasts + self._pause(len(begin))

@@ -48,8 +48,7 @@ class Trainer:
             who, settings["human"], reference, self.options, nsim=sims, threads=threads, seed=seed
         )
         self.env.sustained = True
-        held = self.options["hold"]
-        self.env.hold(held["share"], held["damping"], held["yaw_inertia"])
+        self.env.hold(self.options["hold"])
         self._threads = threads
         self.learner = Learner.new(
             OBSERVATIONS, ACTIONS, self.options["ppo"], np.random.default_rng([seed, 1])

@@ -5,13 +5,15 @@
     python benchmarks/twin.py --bodies 1.75 --seeds 1 --folder results/benchmarks/twin
 
 The gait is the phantom's walk_normal (config/phantom.yaml), the interface its rest pose and stops, the prior the
-published one. Policies are kept in --folder with their processor time and used again. Exit code 1: a bar is missed.
+published one. Policies of the same settings are used again from --folder. Exit code 1: a bar is missed.
 About 4-5 minutes of processor time per training and 2 per examination.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import os
 import sys
 import time
@@ -84,14 +86,17 @@ def trained(
     """Policy and how its training went; from the folder if it is there."""
     name = f"{who.height_m:.2f}-{seed}"
     policy, record = folder / f"{name}.npz", folder / f"{name}.json"
-    if not (policy.exists() and record.exists()):
+    parts = {part: study["twin"][part] for part in ("human", "reference", "training")}
+    made_with = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    if not (policy.exists() and record.exists() and read_json(record).get("settings_sha256") == made_with):
         trainer = Trainer(who, reference_of(who, study, phantom), study["twin"], seed=seed, threads=threads)
         wall, cpu = time.monotonic(), time.process_time()
-        ended = train(trainer, checkpoint=folder / f"{name}.pkl", key=name)
+        ended = train(trainer, checkpoint=folder / f"{name}.pkl", key=name + made_with)
         save_policy(policy, trainer.policy())
         write_json(
             record,
             {
+                "settings_sha256": made_with,
                 "ended": ended,
                 "steps": trainer.steps,
                 "wall_s": time.monotonic() - wall,

@@ -112,6 +112,29 @@ def test_pushes_begin_last_and_end():
     assert 0.07 <= np.mean(lengths) * env.control_s <= 0.25
 
 
+def test_held_pelvises_are_drawn_toward_a_slower_speed():
+    settings, env = twin_settings()["training"]["hold"], _env(200)
+    env.hold(settings | {"share": 0.4})
+    damping = env.batch.expand("dof_damping")
+    damping = damping if damping.ndim == 2 else damping[..., 0]
+    held = damping[:, 0] > 0
+    assert 0.3 < held.mean() < 0.5
+    assert np.all(damping[~held, :6] == 0)
+    assert np.all(damping[:, 0] <= settings["damping"]["along"])
+    env.reset(np.arange(200))
+    toward = env._push[held, 1, 0] / damping[held, 0] / reference().speed
+    low, high = settings["speed"]
+    assert np.all((toward >= low) & (toward <= high))
+    # a push adds to the pull and leaves it behind
+    env.push_force = 100.0
+    seen = []
+    for _ in range(60):
+        env._schedule_pushes()
+        seen.append(env._push[:, 1, :2] - np.column_stack([env._drag, np.zeros(200)]))
+    assert np.abs(seen).max() <= 100 + 1e-9
+    assert 0 < np.mean(np.any(np.array(seen) != 0, axis=2)) < 0.5
+
+
 def test_training_is_the_same_bits_again_and_after_an_interruption(tmp_path):
     settings = _small()
     once = Trainer(WHO, reference(), settings, seed=5, threads=1)

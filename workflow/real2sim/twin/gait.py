@@ -30,7 +30,7 @@ PHASES = 48  # samples of a reference cycle
 LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle")
 PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
 SAGITTAL = ("hip_flexion", "knee_angle", "ankle_angle")
-GRAVITY = 9.81
+_STEADY = 0.92  # share of the fastest stride's speed from which a stride counts as steady
 
 
 # -------------------- strikes and mean cycles
@@ -102,7 +102,7 @@ class Walk:
 def read_walk(folder: Path, body: Body) -> Walk:
     """Read a walking trial's canonical tables and find its strides.
 
-    Strikes come from heel markers where they are, else from the sagittal angles. Strides slower than 85 % of the
+    Strikes come from heel markers where they are, else from the sagittal angles. Strides slower than 92 % of the
     fastest (starting, stopping) are left out.
 
     Raises
@@ -178,9 +178,9 @@ def _steady(
     fastest = np.max(np.concatenate(list(speeds.values())))
     out = {}
     for side, s in strikes.items():
-        keep = np.flatnonzero(speeds.get(side, np.empty(0)) > 0.85 * fastest)
+        keep = np.flatnonzero(speeds.get(side, np.empty(0)) > _STEADY * fastest)
         out[side] = s[keep[0] : keep[-1] + 2] if len(keep) else s[:0]
-    kept = np.concatenate([v[v > 0.85 * fastest] for v in speeds.values()])
+    kept = np.concatenate([v[v > _STEADY * fastest] for v in speeds.values()])
     return out, float(kept.mean())
 
 

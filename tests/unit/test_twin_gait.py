@@ -27,7 +27,14 @@ def _heel(time_s: np.ndarray, first: float) -> np.ndarray:
     return SPEED * STRIDE * (count + s**2 * (3 - 2 * s))
 
 
-def _tables(folder, heels: bool = True, duration: float = 9.0, drop: str = "", offset: float = 0.0):
+def _tables(
+    folder,
+    heels: bool = True,
+    duration: float = 9.0,
+    drop: str = "",
+    offset: float = 0.0,
+    heading: float = 0.0,
+):
     """Canonical tables of a walk with the right heel striking at 0.3 s + k strides, the left half a stride later."""
     time_s = np.arange(0, duration, 1 / RATE)
     curves = measured_curves()
@@ -41,6 +48,10 @@ def _tables(folder, heels: bool = True, duration: float = 9.0, drop: str = "", o
     for name in gait.PELVIS:
         columns[name] = at(name, 0)
     columns["pelvis_tx"] = columns["pelvis_tx"] + SPEED * time_s
+    x, z = columns["pelvis_tx"], columns["pelvis_tz"]
+    columns["pelvis_tx"] = np.cos(heading) * x + np.sin(heading) * z
+    columns["pelvis_tz"] = np.cos(heading) * z - np.sin(heading) * x
+    columns["pelvis_rotation"] = np.angle(np.exp(1j * (columns["pelvis_rotation"] + heading)))
     for name in gait.LEG:
         columns[f"{name}_r"], columns[f"{name}_l"] = at(name, 0.0) + offset, at(name, 0.5)
     columns.pop(drop, None)
@@ -108,6 +119,15 @@ def test_the_mean_cycle_is_the_one_that_was_walked(tmp_path):
         assert asymmetry[name] < 0.5
     lame = read_walk(_tables(tmp_path / "walk_normal_3", offset=np.radians(4)), WHO)
     assert measured_cycle([lame])[1]["knee_angle"] == pytest.approx(4, abs=0.3)
+
+
+def test_the_direction_of_the_walk_does_not_matter(tmp_path):
+    straight, back = (
+        measured_cycle([read_walk(_tables(tmp_path / f"walk_normal_{i}", heading=h), WHO)])[0]
+        for i, h in ((1, 0.0), (2, np.radians(170)))
+    )
+    for name in gait.PELVIS:
+        np.testing.assert_allclose(back[name], straight[name], atol=2e-3)
 
 
 def test_strides_with_gaps_are_left_out():

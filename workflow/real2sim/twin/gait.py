@@ -129,6 +129,7 @@ def read_walk(folder: Path, body: Body) -> Walk:
             "Export coordinates (.mot or .sto) for the walking trials; landmarks alone do not train a twin.",
         )
     time_s = joints.pop("time_s")
+    _head_forward(joints)
     pose = pq.read_table(Path(folder) / "pose.parquet")
     pelvis = np.column_stack([pose[f"pelvis_{c}"].to_numpy() for c in "xy"])
     direction, along = _path(pelvis)
@@ -156,6 +157,17 @@ def read_walk(folder: Path, body: Body) -> Walk:
             "Record a longer walk, or exclude the trial in subject.yaml.",
         )
     return Walk(time_s, joints, strikes, speed, source, phantom)
+
+
+def _head_forward(joints: dict[str, np.ndarray]) -> None:
+    """Turn the pelvis coordinates, in place, so that the walk leads along the X of OpenSim."""
+    x, y = joints["pelvis_tx"], -joints["pelvis_tz"]
+    direction, along = _path(np.column_stack([x, y]))
+    lateral = y * direction[0] - x * direction[1]
+    joints["pelvis_tx"], joints["pelvis_tz"] = along, -lateral
+    heading = np.arctan2(direction[1], direction[0])
+    turned = joints["pelvis_rotation"] - heading
+    joints["pelvis_rotation"] = np.arctan2(np.sin(turned), np.cos(turned))
 
 
 def _path(pelvis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,282 @@
+"""Bars of the human twin, per body and seed: free walk, pushes, floor force, coupled walks, training time.
+
+    python benchmarks/twin.py                      three seeds of 1.75 m 75 kg, one of 1.55 m 50 kg and of 1.90 m 110 kg
+    python benchmarks/twin.py --quick              a training of a minute: shows that it runs, passes nothing
+    python benchmarks/twin.py --bodies 1.75 --seeds 1 --folder results/benchmarks/twin
+
+The gait is the phantom's walk_normal (config/phantom.yaml), the interface its rest pose and stops, the prior the
+published one. Policies of the same settings are used again from --folder. Exit code 1: a bar is missed.
+About 4-5 minutes of processor time per training and 2 per examination.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "workflow"))
+
+import numpy as np
+from real2sim.artefacts import read_json, write_json
+from real2sim.configuration import read_yaml, validated
+from real2sim.coupling.plant import JointLimits, RestPose
+from real2sim.geometry import rotation_xyz
+from real2sim.twin import adaptation
+from real2sim.twin.coupled import CoupledWalk, FreeWalk
+from real2sim.twin.evaluate import (
+    PUSH_DIRECTIONS,
+    PUSH_PHASES,
+    accepted,
+    environment,
+    free_walk,
+    plain,
+    push_battery,
+    pushed_walk,
+    withstands,
+)
+from real2sim.twin.gait import PHASES, SAGITTAL, Reference, make_reference
+from real2sim.twin.human import Body
+from real2sim.twin.policy import Policy, load_policy, save_policy
+from real2sim.twin.stage import PAPER, PAPER_GAMMA, bar_rows, conditions_of, read_prior
+from real2sim.twin.train import Trainer, train
+
+BODIES = {1.55: Body(1.55, 50.0, "female"), 1.75: Body(1.75, 75.0, "male"), 1.90: Body(1.90, 110.0, "male")}
+STRIDE_S, SPEED_OF_175 = 1.2, 1.10
+SIZE_LIMIT, TIME_LIMIT_S, SURVIVAL = 200_000, 900.0, 0.95
+
+
+def measured_curves(phantom: dict) -> dict[str, np.ndarray]:
+    """The phantom's mean cycle of normal walking [rad, m]."""
+    gait, phase = phantom["gait"], np.arange(PHASES) / PHASES
+
+    def wave(terms: list) -> np.ndarray:
+        turns = [2 * np.pi * k * phase for k in range(1, len(terms) + 1)]
+        return np.sum([a * np.cos(t) + b * np.sin(t) for t, (a, b) in zip(turns, terms, strict=True)], axis=0)
+
+    out = {"hip_adduction": np.zeros(PHASES), "hip_rotation": np.zeros(PHASES)}
+    for joint, name in (("hip", "hip_flexion"), ("knee", "knee_angle"), ("ankle", "ankle_angle")):
+        curve, rom = gait["walk_normal"][joint], gait["walk_normal"]["range_of_motion_deg"][joint]
+        raw = wave(curve["terms"])
+        out[name] = np.radians(curve["mean"] + raw * rom / np.ptp(raw))
+    for name, terms in gait["pelvis"].items():
+        out[f"pelvis_{name}"] = wave(terms) * (1e-3 if name in ("tx", "ty", "tz") else np.pi / 180)
+    return out
+
+
+def reference_of(who: Body, study: dict, phantom: dict) -> Reference:
+    """Gait of a body at the phantom's cadence, speed by the length of the legs."""
+    speed = SPEED_OF_175 * who.height_m / 1.75
+    settings = study["twin"]
+    return make_reference(
+        measured_curves(phantom), STRIDE_S, speed, who, settings["human"], settings["reference"]
+    )
+
+
+def trained(
+    who: Body, seed: int, study: dict, phantom: dict, folder: Path, threads: int
+) -> tuple[Policy, dict]:
+    """Policy and how its training went; from the folder if it is there."""
+    name = f"{who.height_m:.2f}-{seed}"
+    policy, record = folder / f"{name}.npz", folder / f"{name}.json"
+    parts = {part: study["twin"][part] for part in ("human", "reference", "training")}
+    made_with = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    if not (policy.exists() and record.exists() and read_json(record).get("settings_sha256") == made_with):
+        trainer = Trainer(who, reference_of(who, study, phantom), study["twin"], seed=seed, threads=threads)
+        wall, cpu = time.monotonic(), time.process_time()
+        ended = train(trainer, checkpoint=folder / f"{name}.pkl", key=name + made_with)
+        save_policy(policy, trainer.policy())
+        write_json(
+            record,
+            {
+                "settings_sha256": made_with,
+                "ended": ended,
+                "steps": trainer.steps,
+                "wall_s": time.monotonic() - wall,
+                "processor_s": time.process_time() - cpu,
+                "bytes": policy.stat().st_size,
+                "evaluations": plain(trainer.evaluations),
+            },
+        )
+        (folder / f"{name}.pkl").unlink(missing_ok=True)
+    return load_policy(policy), read_json(record)
+
+
+def examined(policy: Policy, seed: int, study: dict, threads: int) -> list[dict]:
+    """Rows of bars of a free walker, as the workflow writes them."""
+    twin = study["twin"]
+    e, bars = twin["evaluation"], twin["acceptance"]
+    env = environment(policy, twin, nsim=e["walkers"], threads=threads, seed=0)
+    walk = free_walk(env, policy, seconds=e["walk_s"], settle_s=e["settle_s"])
+    crowd = environment(policy, twin, nsim=PUSH_DIRECTIONS * PUSH_PHASES, threads=threads, seed=1)
+    pushes = [
+        pushed_walk(crowd, policy, force_n=f, minutes=e["push_minutes"], settle_s=e["settle_s"])
+        for f in e["push_n"]
+    ]
+    battery = push_battery(
+        crowd,
+        policy,
+        force_n=e["battery_n"],
+        lasts_s=e["battery_s"],
+        settle_s=e["settle_s"],
+        after_s=e["battery_after_s"],
+    )
+    met = accepted(walk, bars) | {
+        "pushes": withstands(pushes[0], bars),
+        "battery": battery["survived_share"] >= bars["battery_share"],
+    }
+    for p in pushes[1:]:
+        print(f"    (not a bar) {p['force_n']:g} N: {p['falls']} falls in {p['minutes']:.0f} minutes")
+    print(
+        f"    (not a bar) largest floor force of any stride {walk['floor_force_peak_bw']['largest']:.2f} BW"
+    )
+    about = {"walk": walk, "pushes": pushes, "battery": battery, "met": met, "bars": bars}
+    return bar_rows("", about | {"seed": seed, "phantom": True})
+
+
+def interface(phantom: dict) -> tuple[RestPose, JointLimits]:
+    """Rest pose and stops of the phantom's mean person."""
+    person, stops = phantom["person"], np.array(phantom["stops"]["range"])
+    # as recorded on the phantom: 33 mm below mid-ASIS
+    rest = RestPose(
+        rotation_xyz(np.radians([0.0, -person["rest_tilt_deg"], 0.0])),
+        np.array([*person["rest_position_m"], -0.033]),
+    )
+    return rest, JointLimits(-stops, stops)
+
+
+def coupled(policy: Policy, study: dict, phantom: dict, threads: int) -> list[dict]:
+    """Figures of every condition of a coupled walk."""
+    c, ingest = study["twin"]["coupled"], study["ingest"]
+    rest, limits = interface(phantom)
+    prior = read_prior(ROOT / "resources" / "published" / "table1_priors.csv")
+    conditions = conditions_of(prior, None, c)
+    walk = CoupledWalk(
+        policy,
+        twin=study["twin"],
+        plant=study["plant"],
+        robot=ROOT / "resources" / "robot" / "drba.xml",
+        rest=rest,
+        limits=limits,
+        conditions=conditions,
+        walkers=c["walkers"],
+        threads=threads,
+    )
+    recording = walk.run(c["walk_s"])
+    free = FreeWalk(policy, twin=study["twin"], walkers=c["walkers"], threads=threads).run(c["walk_s"])
+    alone = adaptation.describe(adaptation.cycles_of(free, c["settle_s"]))
+    rate, out = 1 / float(free.time_s[1] - free.time_s[0]), []
+    for k, condition in enumerate(conditions):
+        part = recording.of(np.arange(k * c["walkers"], (k + 1) * c["walkers"]))
+        lasting = part.of(np.flatnonzero(part.alive))
+        about = adaptation.describe(adaptation.cycles_of(lasting, c["settle_s"]))
+        q = lasting.interface[:, lasting.time_s >= c["settle_s"]]
+        out.append(
+            {
+                "name": condition.name,
+                "cap": condition.cap,
+                "factors": dict(condition.factors),
+                "survived": float(part.alive.mean()),
+                "cycles": about["hip_flexion"]["cycles"],
+                "change": {
+                    j: about[j]["rom_deg"][0] - alone[j]["rom_deg"][0] if about[j]["cycles"] else None
+                    for j in SAGITTAL
+                },
+                "cloud": adaptation.cloud(q, rate, ingest["cutoff_hz"], ingest["filter_order"]),
+            }
+        )
+    return out
+
+
+def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, object, bool]]:
+    """Print every condition; returns the bars: survival, sign at the hip, order of the clouds."""
+    for r in rows:
+        cloud, factor = r["cloud"], " ".join(f"{a} x{f:g}" for a, f in r["factors"].items())
+        spread = (
+            "sigma " + "/".join(f"{v:.1f}" for v in cloud["sigma_mm"]) + f" mm, gamma {cloud['gamma']:.3f}"
+            if cloud["trials"]
+            else "no walker lasted"
+        )
+        change = "/".join("-" if v is None else f"{v:+.1f}" for v in r["change"].values())
+        print(
+            f"    {r['name']:6s} cap {r['cap']:.2f} {factor:14s} survived {100 * r['survived']:3.0f} %,"
+            f" {r['cycles']:3d} cycles, change of RoM {change} deg, {spread}"
+        )
+    paper = "/".join(f"{PAPER[j]['prior'][0] - PAPER[j]['free'][0]:+.1f}" for j in SAGITTAL)
+    print(f"    paper: prior {paper} deg; gamma " + ", ".join(f"{k} {v}" for k, v in PAPER_GAMMA.items()))
+    plain_rows = [r for r in rows if not r["factors"]]
+    bars: list[tuple[str, object, object, bool]] = [
+        (f"survived {r['name']} cap {r['cap']:g}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL)
+        for r in plain_rows
+    ]
+    for r in plain_rows:
+        if r["name"] == "prior" and r["cap"] <= 0.95:
+            hip = r["change"]["hip_flexion"]
+            bars.append((f"hip RoM change, prior cap {r['cap']:g}", hip, 0, hip is not None and hip < 0))
+    area = {
+        r["name"]: r["cloud"].get("ellipse", {}).get("area_mm2", np.nan)
+        for r in plain_rows
+        if r["cap"] == main_cap
+    }
+    ordered = bool(area["soft"] > area["prior"] > area["stiff"])
+    text = " > ".join(f"{name} {value:.0f}" for name, value in area.items())
+    bars.append(("95 % ellipse [mm2] " + text, ordered, True, ordered))
+    return bars
+
+
+def main() -> int:
+    """Print every bar; 1 where one is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--bodies", type=float, nargs="*", default=[1.75, 1.55, 1.90])
+    parser.add_argument(
+        "--seeds", type=int, nargs="*", help="of each body (default 1 2 3 of 1.75 m, 1 of the others)"
+    )
+    parser.add_argument("--folder", type=Path, default=ROOT / "results" / "benchmarks" / "twin")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    study = validated(read_yaml(ROOT / "config" / "config.yaml"), "config", Path("config/config.yaml"))
+    phantom = validated(read_yaml(ROOT / "config" / "phantom.yaml"), "phantom", Path("config/phantom.yaml"))
+    if options.quick:
+        study["twin"]["training"]["steps"] = 60_000
+        study["twin"]["evaluation"] |= {"push_minutes": 1, "push_n": [100]}
+        study["twin"]["coupled"] |= {"walkers": 2, "walk_s": 6, "settle_s": 2, "sensitivity": []}
+        options.folder = options.folder / "quick"
+    missed = 0
+    for height in options.bodies:
+        who = BODIES[height]
+        for seed in options.seeds or ([1, 2, 3] if height == 1.75 and not options.quick else [1]):
+            policy, record = trained(who, seed, study, phantom, options.folder, options.threads)
+            print(
+                f"\n{who.height_m} m {who.mass_kg:g} kg {who.sex}, seed {seed}: {record['steps']} steps, ended: "
+                f"{record['ended']}, {record['wall_s']:.0f} s, {record['processor_s']:.0f} s of processor "
+                "(phantom's gait)"
+            )
+            bars = [
+                ("training [s]", record["processor_s"], TIME_LIMIT_S, record["processor_s"] <= TIME_LIMIT_S),
+                ("artifact [bytes]", record["bytes"], SIZE_LIMIT, record["bytes"] <= SIZE_LIMIT),
+            ]
+            bars += [
+                (r["bar"], r["value"], r["limit"], r["met"])
+                for r in examined(policy, seed, study, options.threads)
+            ]
+            bars += show_coupled(
+                coupled(policy, study, phantom, options.threads), study["twin"]["coupled"]["main_cap"]
+            )
+            for name, value, limit, ok in bars:
+                shown = f"{value:.3f}" if isinstance(value, float) else value
+                print(f"  {'ok    ' if ok else 'MISSED'} {name}: {shown} (bar {limit})")
+                missed += not ok
+    print(f"\n{missed} bars missed")
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

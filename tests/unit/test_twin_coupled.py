@@ -1,0 +1,302 @@
+"""Person, strap and robot in one tree: the same strap as in the fits, and what is read out of the walk."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from real2sim.configuration import validated
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
+from real2sim.figures.twin import twin_figure
+from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
+from real2sim.identification.parameters import PARAMETERS
+from real2sim.twin import adaptation
+from real2sim.twin.coupled import (
+    COMPLIANCES,
+    Condition,
+    CoupledWalk,
+    FreeWalk,
+    Recording,
+    coupled_spec,
+    strap_vectors,
+)
+from real2sim.twin.env import ACTIONS, OBSERVATIONS
+from real2sim.twin.gait import SAGITTAL
+from real2sim.twin.policy import Policy
+from real2sim.twin.ppo import init_layers
+from real2sim.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows
+
+from tests.unit.walking_person import ROOT, WHO, reference
+
+ROBOT = ROOT / "resources" / "robot" / "drba.xml"
+STUDY = validated({}, "config", Path("config"))
+REST = RestPose(rotation_xyz(np.radians([1.0, -9.0, 0.5])), np.array([-0.075, 0.004, -0.032]))
+LIMITS = JointLimits(
+    np.array([-0.08, -0.055, -0.03, -0.3, -0.2, -0.38]), np.array([0.08, 0.055, 0.03, 0.3, 0.2, 0.38])
+)
+PRIOR = np.array([725, 2120, 3850, 39.2, 122, 15.2, 588, 133, 70.8, 1.26, 2.2, 7.21])
+
+
+def _unlearnt() -> Policy:
+    layers = init_layers([OBSERVATIONS, 8, ACTIONS], 0.0, np.random.default_rng(0))
+    return Policy(layers, np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS), reference(), WHO)
+
+
+def _walk(conditions: list[Condition], walkers: int = 2, twin: dict | None = None, **other) -> CoupledWalk:
+    return CoupledWalk(
+        _unlearnt(),
+        twin=twin or STUDY["twin"],
+        plant=STUDY["plant"],
+        robot=ROBOT,
+        rest=REST,
+        limits=LIMITS,
+        conditions=conditions,
+        walkers=walkers,
+        **other,
+    )
+
+
+def _model() -> tuple[mujoco.MjModel, np.ndarray]:
+    spec, stand = coupled_spec(
+        WHO, STUDY["twin"]["human"], ROBOT, STUDY["twin"]["follow"], STUDY["plant"], REST, LIMITS
+    )
+    return spec.compile(), stand
+
+
+def test_one_tree_of_robot_strap_and_person():
+    model, _ = _model()
+    assert model.nv == 6 + 6 + 21
+    assert model.neq == 0
+    assert model.body_subtreemass[model.body("base").id] == pytest.approx(100 + WHO.mass_kg, rel=1e-3)
+    np.testing.assert_allclose(model.joint("strap_ty").range, [-0.055, 0.055])
+    assert model.joint("base_y").stiffness[0] == STUDY["twin"]["follow"]["lateral"]["stiffness"]
+    assert model.joint("base_x").stiffness[0] == 0
+
+
+def test_the_strap_is_at_rest_when_the_person_stands():
+    model, stand = _model()
+    data = mujoco.MjData(model)
+    for name, value in zip(ROBOT_JOINTS, stand, strict=True):
+        data.joint(name).qpos = value
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.site("human_root").xpos[2], WHO.hip_height, atol=1e-9)
+    np.testing.assert_allclose(data.body("human").xmat.reshape(3, 3), np.eye(3), atol=1e-9)
+
+
+def test_strap_joints_are_the_interface_coordinates():
+    # any posture: q from the poses of pelvis markers and interface is what the six joints say
+    model, _ = _model()
+    data = mujoco.MjData(model)
+    q = np.array([0.02, -0.03, 0.01, 0.1, -0.05, 0.2])
+    data.qpos[[model.joint(j).qposadr[0] for j in STRAP_JOINTS]] = q
+    data.qpos[[model.joint(j).qposadr[0] for j in ROBOT_JOINTS]] = [0.3, 0.1, 0.4, 0.02, 0.05, -0.03]
+    mujoco.mj_forward(model, data)
+    pelvis = data.body("human").xmat.reshape(3, 3) @ REST.rotation.T
+    place = data.site("mid_asis").xpos
+    interface = data.body("interface").xmat.reshape(3, 3)
+    middle = (data.site("interface_left").xpos + data.site("interface_right").xpos) / 2
+    r, p = relative_pose(pelvis, place, interface, middle)
+    np.testing.assert_allclose(p - REST.position, q[:3], atol=1e-9)
+    np.testing.assert_allclose(angles_xyz(r @ REST.rotation.T), q[3:], atol=1e-9)
+
+
+def test_the_start_is_the_references_state():
+    walk = _walk([Condition("prior", PRIOR, 0.9)], walkers=4)
+    phase = np.arange(4) / 4
+    walk._start(phase)
+    walk.batch.bind("sensordata")
+    walk.batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+    s = walk.batch.bind("sensordata")
+    qpos, qvel, _ = reference().at(phase)
+    first = walk.model.sensor("root_position").adr[0]
+    np.testing.assert_allclose(s[:, first : first + 3], qpos[:, :3], atol=1e-9)
+    np.testing.assert_allclose(s[:, first + 7 : first + 10], qvel[:, :3], atol=1e-6)
+    sign = np.sign(np.sum(s[:, first + 3 : first + 7] * qpos[:, 3:7], axis=1, keepdims=True))
+    np.testing.assert_allclose(sign * s[:, first + 3 : first + 7], qpos[:, 3:7], atol=1e-6)
+
+
+def test_a_stiff_strap_moves_less_and_the_wrench_is_that_of_its_law():
+    straps = strap_vectors(
+        {"soft": {"stiffness": 10, "damping": 1}, "stiff": {"stiffness": 1e4, "damping": 1e3}}
+    )
+    names = {"soft": straps["soft"], "prior": PRIOR, "stiff": straps["stiff"]}
+    walk = _walk([Condition(n, v, 0.9) for n, v in names.items()])
+    recording = walk.run(0.6)
+    assert recording.alive.all()
+    spread = [np.ptp(recording.interface[2 * i : 2 * i + 2, :, 1], axis=1).mean() for i in range(3)]
+    assert spread[0] > spread[1] > spread[2]
+    # springs and dampers along q, taken at the beginning of a step while q is recorded at its end
+    q, f = recording.interface[2:4], recording.wrench[2:4]
+    rate = np.gradient(q, recording.time_s, axis=1)
+    expected = -(PRIOR[:6] * q + PRIOR[6:] * rate)
+    error = np.abs(f - expected)[:, 5:-5].max(axis=(0, 1))
+    assert np.all(error < 0.2 * np.abs(expected).max(axis=(0, 1)))
+
+
+def test_robot_factors_act_on_their_axis_alone():
+    conditions = [
+        Condition("prior", PRIOR, 0.9),
+        *(Condition("prior", PRIOR, 0.9, ((a, 3.0),)) for a in COMPLIANCES),
+    ]
+    walk = _walk(conditions, walkers=1)
+    stiffness = walk.batch.expand("jnt_stiffness")
+    stiffness = stiffness if stiffness.ndim == 2 else stiffness[..., 0]
+    for k, joint in enumerate(COMPLIANCES.values(), start=1):
+        changed = np.flatnonzero(stiffness[k] != stiffness[0])
+        assert list(changed) == [walk.model.joint(joint).id]
+        assert stiffness[k, changed[0]] == 3 * stiffness[0, changed[0]]
+
+
+def test_the_same_walk_with_two_threads_and_a_cadence_that_adapts():
+    conditions = [Condition("prior", PRIOR, 0.8)]
+    one, two = (_walk(conditions, threads=n).run(0.3) for n in (1, 2))
+    np.testing.assert_array_equal(one.interface, two.interface)
+    twin = copy.deepcopy(STUDY["twin"])
+    twin["coupled"]["cadence_exponent"] = 1.0
+    adapted = _walk(conditions, twin=twin).run(0.6)
+    fixed = _walk(conditions).run(0.6)
+    assert not np.array_equal(adapted.interface, fixed.interface)
+
+
+def _steady(sigma: np.ndarray) -> Recording:
+    """Walkers who follow the reference for 10 s, their interface swaying by ``sigma`` (3,) [m]."""
+    r, n = reference(), 3
+    time_s = np.arange(1, 1251) * 0.008
+    qpos, _, _ = r.at(time_s / r.stride_s)
+    along = np.tile(r.speed * time_s, (n, 1))
+    phase = np.mod(time_s / r.stride_s, 1)
+    joints = {f"{j}_{s}": np.tile(qpos[:, 7 + _index(f"{j}_{s}")], (n, 1)) for j in SAGITTAL for s in "rl"}
+    heel = {
+        s: along + np.tile(0.3 * np.cos(2 * np.pi * (phase - shift)), (n, 1))
+        for s, shift in (("r", 0), ("l", 0.5))
+    }
+    wave = np.sqrt(2) * np.stack(
+        [np.sin(2 * np.pi * f * time_s) for f in (1.7, 0.9, 1.3)] + [0 * time_s] * 3, axis=-1
+    )
+    q = np.tile(wave * np.r_[sigma, 0, 0, 0], (n, 1, 1))
+    return Recording(
+        time_s,
+        joints,
+        {s: x - along for s, x in heel.items()},
+        heel,
+        along,
+        q,
+        100 * q,
+        0 * along + r.speed,
+        np.ones(n, bool),
+        np.full(n, 10.0),
+    )
+
+
+def _index(name: str) -> int:
+    from real2sim.twin.human import JOINTS
+
+    return JOINTS.index(name)
+
+
+def test_cycles_ranges_and_peaks_of_a_known_walk():
+    cycles = adaptation.cycles_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
+    about = adaptation.describe(cycles, cycles)
+    for joint in SAGITTAL:
+        goal = np.degrees(reference().curve(f"{joint}_r"))
+        assert about[joint]["cycles"] >= 8 * 2
+        assert about[joint]["rom_deg"][0] == pytest.approx(np.ptp(goal), abs=0.3)
+        assert about[joint]["peak_deg"][0] == pytest.approx(goal.max(), abs=0.3)
+        assert about[joint]["r"] == pytest.approx(1)
+    assert adaptation.describe({j: np.empty((0, 101)) for j in SAGITTAL})["knee_angle"] == {"cycles": 0}
+
+
+def test_the_cloud_of_a_known_sway():
+    recording = _steady(np.array([0.003, 0.009, 0.002]))
+    cloud = adaptation.cloud(recording.interface, 125.0, 12.0, 4)
+    np.testing.assert_allclose(cloud["sigma_mm"], [3, 9, 2], rtol=0.02)
+    assert cloud["gamma"] == pytest.approx(1 / 3, rel=0.02)
+    # 95 % of a normal cloud: 2.4477 standard deviations along each axis
+    np.testing.assert_allclose(cloud["ellipse"]["semi_axes_mm"], 2.4477 * np.array([9, 3]), rtol=0.02)
+    assert abs(abs(cloud["ellipse"]["angle_deg"]) - 90) < 2
+    gone = np.full((2, 500, 6), np.nan)
+    assert adaptation.cloud(gone, 125.0, 12.0, 4) == {"trials": 0}
+    force = adaptation.forces(recording.wrench)
+    assert force["ty"]["sd"] == pytest.approx(0.9, rel=0.02)
+
+
+def test_free_walkers_are_recorded_in_the_same_way():
+    recording = FreeWalk(_unlearnt(), twin=STUDY["twin"], walkers=2).run(0.4)
+    assert recording.alive.all()
+    assert recording.interface.shape[2] == 0
+    step = recording.along[:, -1] - recording.along[:, 0]
+    span = recording.time_s[-1] - recording.time_s[0]
+    assert np.all(np.abs(step / span / reference().speed - 1) < 0.15)
+
+
+def test_conditions_and_own_parameters(tmp_path):
+    coupled = STUDY["twin"]["coupled"]
+    conditions = conditions_of(PRIOR, None, coupled)
+    assert {c.name for c in conditions} == {"soft", "prior", "stiff"}
+    assert sum(bool(c.factors) for c in conditions) == 3 * len(coupled["sensitivity"])
+    with_own = conditions_of(PRIOR, PRIOR * 2, coupled)
+    assert len(with_own) == len(conditions) + len(coupled["speed_caps"])
+    files = []
+    for trial, factor, cost in (("dynamic_1", 2.0, 0.1), ("dynamic_1", 9.0, 0.3), ("dynamic_2", 8.0, 0.2)):
+        files.append(tmp_path / f"{len(files)}.json")
+        values = dict(zip(PARAMETERS, (factor * PRIOR).tolist(), strict=True))
+        files[-1].write_text(json.dumps({"trial": trial, "cost": {"J": cost}, "parameters": values}))
+    np.testing.assert_allclose(best_fit(files), 4 * PRIOR)
+    assert best_fit([]) is None
+
+
+def _record() -> dict:
+    """A coupled.json as `twin_coupled` writes it, of made-up walks."""
+    cycles = adaptation.cycles_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
+    about = adaptation.describe(cycles, cycles)
+    cloud = adaptation.cloud(_steady(np.array([0.003, 0.009, 0.002])).interface, 125.0, 12.0, 4)
+    case = {"cap": 0.9, "robot_factors": {}, "walkers": 8, "survived": 8, "joints": about, "cloud": cloud}
+    none = {
+        "cap": 0.9,
+        "robot_factors": {},
+        "walkers": 8,
+        "survived": 0,
+        "joints": {j: {"cycles": 0} for j in SAGITTAL},
+        "cloud": {"trials": 0},
+    }
+    return {
+        "seed": 1,
+        "phantom": True,
+        "free": about,
+        "conditions": [
+            {"name": "prior", **case},
+            {"name": "stiff", **none},
+            {"name": "prior", **case, "robot_factors": {"roll": 3.0}},
+        ],
+        "measured": {"walk_normal": about, "walk_robot": about, "cloud": cloud, "wrench": {}},
+    }
+
+
+def test_tables_and_figure_also_where_everybody_fell(tmp_path):
+    record = _record()
+    gait = gait_rows("S06", record)
+    assert {row["condition"] for row in gait} == {"free", "walk_normal", "walk_robot", "prior"}
+    assert all(row["phantom"] for row in gait)
+    prior = next(row for row in gait if row["condition"] == "prior" and row["joint"] == "hip_flexion")
+    assert prior["rom_change_deg"] == 0
+    assert prior["rom_paper_deg"] == 28.3
+    clouds = cloud_rows("S06", record)
+    assert [row["robot_factor"] for row in clouds] == ["", "", "", "roll x3"]
+    assert clouds[2]["gamma"] is None
+    assert clouds[1]["gamma_paper"] == 0.360
+    path = tmp_path / "coupled.json"
+    path.write_text(json.dumps(record))
+    out = [tmp_path / "twin.png", tmp_path / "twin.pdf"]
+    twin_figure(coupled=[path, path], out=out)
+    assert all(p.stat().st_size > 5000 for p in out)
+
+
+def test_every_compliance_of_the_robot_names_its_source():
+    follow = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))["twin"]["follow"]
+    for axis in (*COMPLIANCES, "yaw", "pitch"):
+        assert follow[axis]["source"]

@@ -1,0 +1,129 @@
+"""Joint angles and interface cloud of a person with and without the robot, measured and simulated (paper, V-C)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+
+from real2sim.artefacts import read_json
+from real2sim.figures import style
+
+JOINTS = {"hip_flexion": "hip", "knee_angle": "knee", "ankle_angle": "ankle"}
+CONDITIONS = {"soft": style.SKY, "prior": style.VERMILION, "stiff": style.PURPLE, "own": style.GREEN}
+_PHASE = np.linspace(0, 100, 101)
+
+
+def _band(axes: Axes, entry: dict[str, Any], colour: str, label: str, dashed: bool = False) -> None:
+    if not entry.get("cycles"):
+        return
+    mean, sd = np.array(entry["mean_deg"]), np.array(entry["sd_deg"])
+    axes.fill_between(_PHASE, mean - sd, mean + sd, color=colour, alpha=0.15, linewidth=0)
+    axes.plot(_PHASE, mean, color=colour, label=label, linestyle=(0, (4, 2)) if dashed else "-")
+
+
+def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Conditions at the cap that is compared: the one nearest to 0.9 of the person's speed, or the slowest."""
+    plain = [c for c in record["conditions"] if not c["robot_factors"]]
+    cap = min({c["cap"] for c in plain}, key=lambda value: abs(value - 0.9))
+    return [c for c in plain if c["cap"] == cap]
+
+
+def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
+    """Draw a 95 % ellipse about the origin; returns its reach [mm]."""
+    if not cloud.get("trials"):
+        return 0.0
+    major, minor = cloud["ellipse"]["semi_axes_mm"]
+    # drawn with y to the left, as seen from above with x up: the angle is that from x toward y
+    axes.add_patch(
+        Ellipse(
+            (0, 0),
+            2 * major,
+            2 * minor,
+            angle=cloud["ellipse"]["angle_deg"],
+            fill=False,
+            edgecolor=colour,
+            linestyle="--" if dashed else "-",
+            linewidth=1.0,
+            label=f"{label}, γ = {cloud['gamma']:.2f}",
+        )
+    )
+    return float(major)
+
+
+def twin_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Measured and simulated joint angles, and 95 % ellipses of the interface; curves of the first seed.
+
+    ``coupled`` are a person's coupled.json, one per seed; ranges of motion in the titles are means over the seeds.
+    """
+    records = [read_json(path, ("conditions", "measured", "free", "phantom")) for path in coupled]
+    first = records[0]
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(5.4, phantom=any(r["phantom"] for r in records), width_in=7.0)
+        grid = figure.add_gridspec(3, 3, height_ratios=(1, 1, 1.15))
+        for column, (joint, name) in enumerate(JOINTS.items()):
+            real, simulated = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+            for kind, colour in (("walk_normal", style.BLACK), ("walk_robot", style.BLUE)):
+                if kind in first["measured"]:
+                    _band(real, first["measured"][kind][joint], colour, kind.replace("_", " "))
+            _band(simulated, first["free"][joint], style.BLACK, "no robot")
+            for condition in _main_conditions(first):
+                _band(simulated, condition["joints"][joint], CONDITIONS[condition["name"]], condition["name"])
+            for axes in (real, simulated):
+                if not axes.lines:
+                    style.say(axes, "no whole stride")
+            style.panel_letter(real, "abc"[column], f"{name}, measured")
+            style.panel_letter(simulated, "def"[column], f"{name}, simulated")
+            simulated.set_xlabel("gait cycle (%)")
+            if column == 0:
+                real.set_ylabel("angle (deg)")
+                simulated.set_ylabel("angle (deg)")
+                for axes in (real, simulated):
+                    if axes.get_legend_handles_labels()[0]:
+                        axes.legend()
+        _clouds(figure.add_subplot(grid[2, :2]), first)
+        _changes(figure.add_subplot(grid[2, 2]), records)
+        style.save(figure, out)
+
+
+def _clouds(axes: Axes, record: dict[str, Any]) -> None:
+    reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", dashed=True)]
+    for condition in _main_conditions(record):
+        reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[condition["name"]], condition["name"]))
+    limit = 1.1 * max([*reach, 1.0])
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    axes.set_xlabel("forward (mm)")
+    axes.set_ylabel("left (mm)")
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), title="95 % of the interface midpoint")
+    style.panel_letter(axes, "g")
+
+
+def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
+    """Change of the range of motion by the robot, one point per seed."""
+    names = [c["name"] for c in _main_conditions(records[0])]
+    for row, joint in enumerate(JOINTS):
+        for k, name in enumerate(names):
+            values = []
+            for record in records:
+                entry = next(c for c in _main_conditions(record) if c["name"] == name)["joints"][joint]
+                if entry.get("cycles") and record["free"][joint].get("cycles"):
+                    values.append(entry["rom_deg"][0] - record["free"][joint]["rom_deg"][0])
+            place = row + 0.2 * (k - (len(names) - 1) / 2)
+            axes.plot(values, [place] * len(values), "o", color=CONDITIONS[name], markersize=2.5)
+        measured = records[0]["measured"]
+        if all(
+            kind in measured and measured[kind][joint].get("cycles") for kind in ("walk_normal", "walk_robot")
+        ):
+            change = (
+                measured["walk_robot"][joint]["rom_deg"][0] - measured["walk_normal"][joint]["rom_deg"][0]
+            )
+            axes.plot([change, change], [row - 0.4, row + 0.4], color=style.BLUE, linewidth=1.2)
+    axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
+    axes.set_yticks(range(len(JOINTS)), list(JOINTS.values()))
+    axes.invert_yaxis()
+    axes.set_xlabel("change of range of motion (deg)\npoint: seed, line: measured")
+    style.panel_letter(axes, "h")

@@ -1,0 +1,1 @@
+"""A simulated person who walks, and the robot that walks with them."""

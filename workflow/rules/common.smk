@@ -169,3 +169,22 @@ def operating_point(wildcards, kind):
 def where_limits_are_known(wildcards, stage):
     """results/<stage>/<SUBJECT>.json where the sweeps at T* were recorded, else nothing: a diagnosis goes without."""
     return f"results/{stage}/{wildcards.subject}.json" if PEOPLE[wildcards.subject].has_limits else []
+
+
+def folders_of(subject, kind):
+    """Folders of canonical tables of a person's trials of a kind."""
+    return [str(Path(path).parent) for path in poses_of(subject, kind)]
+
+
+def walk_tables(subject, *kinds):
+    """Tables of walking trials that the twin reads."""
+    return [
+        str(Path(path).with_name(f"{table}.parquet"))
+        for path in poses_of(subject, *kinds)
+        for table in ("joints", "pose", "markers", "robot")
+    ]
+
+
+def twin_settings(*names):
+    """The named parts of the slice `twin` as JSON: a job reruns where its own part changes."""
+    return json.dumps({name: STUDY["twin"][name] for name in names})

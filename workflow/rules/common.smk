@@ -115,8 +115,8 @@ def forget_rule_functions():
     The rules keep it themselves, but Snakemake copies all globals for every command that it formats: with two rules per
     person, four tenths of the plan of a thousand people.
     """
-    for rule in workflow.rules:
-        workflow.globals.pop(f"__{rule.name}", None)
+    for name in [each.name for each in workflow.rules]:
+        workflow.globals.pop(f"__{name}", None)
 
 
 def code(command):

@@ -68,12 +68,10 @@ def _start(study: Study, *targets: str) -> subprocess.Popen:
         "--profile",
         "profiles/slurm",
     ]
-    return subprocess.Popen(
-        [*command, *targets],
-        cwd=study.folder,
-        stdout=(study.folder / "run.log").open("w"),
-        stderr=subprocess.STDOUT,
-    )
+    with (study.folder / "run.log").open("w") as stream:
+        return subprocess.Popen(
+            [*command, *targets], cwd=study.folder, stdout=stream, stderr=subprocess.STDOUT
+        )
 
 
 def _kill_node(node: str) -> int:

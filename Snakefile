@@ -37,6 +37,9 @@ include: "workflow/rules/figures.smk"
 include: "workflow/rules/suite.smk"
 
 
+forget_rule_functions()
+
+
 rule all:
     """Everything: tables, figures and the page that holds them."""
     default_target: True

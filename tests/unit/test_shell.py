@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import subprocess
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from real2sim import __main__ as cli
@@ -13,7 +15,7 @@ from real2sim import provenance
 from real2sim.artefacts import read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
-from real2sim.failures import FAILED, failures
+from real2sim.failures import FAILED, FailedJobs, failures
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.shell import braced
 
@@ -159,6 +161,10 @@ def test_braced_paths_are_the_paths_and_fit_a_shell():
         braced(["results/a b.json"])
 
 
+def _record(event: str, **about) -> logging.LogRecord:
+    return logging.makeLogRecord({"levelno": logging.ERROR, "event": SimpleNamespace(name=event)} | about)
+
+
 def test_last_lines_name_what_failed_and_its_log(tmp_path):
     logs = tmp_path / "logs"
     for name, text in (
@@ -171,15 +177,25 @@ def test_last_lines_name_what_failed_and_its_log(tmp_path):
     ):
         (logs / name).parent.mkdir(parents=True, exist_ok=True)
         (logs / name).write_text(text)
-    record = (
-        "Error in rule fit:\n    message: None\n    jobid: 3\n    log: logs/fits/S02.log (check log file(s) for error "
-        "details)\n    shell:\n        python -m real2sim fit\n"
-        "Error in rule fit:\n    message: SLURM-job '7' failed, SLURM status is: 'FAILED'. For further error details\n"
-        f"    log: {logs}/fits/S01.log, /x/slurm/7.log (check log file(s) for error details)\n"
-    )
-    found = failures(logs, 0.0, record)
-    assert found == [
+    heard = FailedJobs()
+    hint = " (check log file(s) for error details)"
+    group = [{"jobid": i, "rule_name": "loso", "log": [f"loso/{i}.log{hint}"]} for i in (8, 9)]
+    for record in (
+        _record("JOB_ERROR", jobid=3, rule_name="fit", rule_msg=None, log=[f"{logs}/fits/S02.log{hint}"]),
+        _record(
+            "JOB_ERROR", jobid=4, rule_name="fit", rule_msg="x", log=[f"{logs}/fits/S01.log{hint}", "s.log"]
+        ),
+        _record("GROUP_ERROR", groupid="g", job_error_info=group, aux_logs=["slurm/7.log"]),
+        _record("JOB_ERROR", jobid=8, rule_name="loso", rule_msg=None, log=["loso/8.log"]),
+        _record("JOB_ERROR", jobid=5, rule_name="limits", rule_msg="status NODE_FAIL", log=["l.log"]),
+        _record("PROGRESS"),
+    ):
+        heard.handle(record)
+    ended = "ended without a word of its own (killed, out of memory or time?)"
+    assert failures(logs, 0.0, heard.jobs) == [
         f"{FAILED} 'fit': raw.tsv: empty\n  remedy: record\n  log:      {logs}/fits/S01.log",
-        "rule fit ended without a word of its own (killed, out of memory or time?)\n  log:      logs/fits/S02.log",
+        f"fit: {ended}\n  log:      {logs}/fits/S02.log",
+        f"loso: {ended}\n  log:      slurm/7.log\n  log:      loso/8.log\n  log:      loso/9.log",
+        f"limits: {ended}\n  found:    status NODE_FAIL\n  log:      l.log",
     ]
-    assert failures(logs, time.time() + 60, "") == []
+    assert failures(logs, time.time() + 60) == []

@@ -155,3 +155,22 @@ def operating_point(wildcards, kind):
     """pose.parquet of the rotation or translation trial at the person's T*."""
     level = int(PEOPLE[wildcards.subject].tightness["safe_comfortable_cm"])
     return f"results/trials/{wildcards.subject}/{kind}_T{level:02d}/pose.parquet"
+
+
+def folders_of(subject, kind):
+    """Folders of canonical tables of a person's trials of a kind."""
+    return [str(Path(path).parent) for path in poses_of(subject, kind)]
+
+
+def walk_tables(subject, *kinds):
+    """Tables of walking trials that the twin reads."""
+    return [
+        str(Path(path).with_name(f"{table}.parquet"))
+        for path in poses_of(subject, *kinds)
+        for table in ("joints", "pose", "markers", "robot")
+    ]
+
+
+def twin_settings(*names):
+    """The named parts of the slice `twin` as JSON: a job reruns where its own part changes."""
+    return json.dumps({name: STUDY["twin"][name] for name in names})

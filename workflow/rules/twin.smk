@@ -19,25 +19,6 @@ wildcard_constraints:
     seed=r"\d+",
 
 
-def folders_of(subject, kind):
-    """Folders of canonical tables of a person's trials of a kind."""
-    return [str(Path(path).parent) for path in poses_of(subject, kind)]
-
-
-def walk_tables(subject, *kinds):
-    """Tables of walking trials that the twin reads."""
-    return [
-        str(Path(path).with_name(f"{table}.parquet"))
-        for path in poses_of(subject, *kinds)
-        for table in ("joints", "pose", "markers", "robot")
-    ]
-
-
-def twin_settings(*names):
-    """The named parts of the slice `twin` as JSON: a job reruns where its own part changes."""
-    return json.dumps({name: STUDY["twin"][name] for name in names})
-
-
 rule twin:
     """Bars, gait and interface of every twin, and a figure per person."""
     input:

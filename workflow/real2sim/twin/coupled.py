@@ -259,9 +259,14 @@ class _Walkers:
             s = sensors[:, first : first + 19]
             rotation = rotations(s[:, 3:7])
             root = RootState(s[:, :3], s[:, 7:10], rotation, np.einsum("mji,mj->mi", rotation, s[:, 10:13]))
-            obs, mirrored = observe(reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n))
+            cadence = self._cadence()
+            obs, mirrored = observe(
+                reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n), cadence
+            )
             correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
-            control[:, : len(JOINTS)] = servo_target(reference, phase, self.control_s, self.kp, correction)
+            control[:, : len(JOINTS)] = servo_target(
+                reference, phase, self.control_s, self.kp, correction, cadence
+            )
             self._robot_command(root, control)
             if watch is not None:
                 watch(qpos)
@@ -290,7 +295,7 @@ class _Walkers:
                 ("base", base),
             ):
                 kept[name][alive, at] = values[alive, stride - 1 :: stride]
-            phase = np.mod(phase + self._cadence() * self.control_s / reference.stride_s, 1.0)
+            phase = np.mod(phase + cadence * self.control_s / reference.stride_s, 1.0)
             batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         return self._recording(kept, alive, survived, stride)
 

@@ -203,9 +203,7 @@ class _Walkers:
     ``_base`` that of the robot's base or None.
     """
 
-    def __init__(
-        self, policy: Policy, spec: mujoco.MjSpec, model: mujoco.MjModel, twin: dict, n: int, threads: int
-    ):
+    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict, n: int, threads: int):
         self.policy, self.model, self.n = policy, model, n
         self.substeps = int(twin["training"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
@@ -329,7 +327,7 @@ class FreeWalk(_Walkers):
     def __init__(self, policy: Policy, *, twin: dict, walkers: int, threads: int = 1):
         spec = human_spec(policy.body, twin["human"])
         add_gait_sensors(spec)
-        super().__init__(policy, spec, spec.compile(), twin, walkers, threads)
+        super().__init__(policy, spec.compile(), twin, walkers, threads)
 
     def _start(self, phase: np.ndarray) -> None:
         qpos, qvel, _ = self.policy.reference.at(phase)
@@ -370,7 +368,7 @@ class CoupledWalk(_Walkers):
             policy.body, twin["human"], robot, twin["follow"], plant, rest, limits
         )
         self._dress(spec, robot)
-        super().__init__(policy, spec, compiled(spec, robot), twin, len(conditions) * walkers, threads)
+        super().__init__(policy, compiled(spec, robot), twin, len(conditions) * walkers, threads)
         self.conditions, self.walkers, self.rest = conditions, walkers, rest
         self.follow, self.cadence_exponent = twin["follow"], twin["coupled"]["cadence_exponent"]
         m = self.model

@@ -203,9 +203,7 @@ class _Walkers:
     ``_base`` that of the robot's base or None.
     """
 
-    def __init__(
-        self, policy: Policy, spec: mujoco.MjSpec, model: mujoco.MjModel, twin: dict, n: int, threads: int
-    ):
+    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict, n: int, threads: int):
         self.policy, self.model, self.n = policy, model, n
         self.substeps = int(twin["training"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
@@ -259,9 +257,14 @@ class _Walkers:
             s = sensors[:, first : first + 19]
             rotation = rotations(s[:, 3:7])
             root = RootState(s[:, :3], s[:, 7:10], rotation, np.einsum("mji,mj->mi", rotation, s[:, 10:13]))
-            obs, mirrored = observe(reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n))
+            cadence = self._cadence()
+            obs, mirrored = observe(
+                reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n), cadence
+            )
             correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
-            control[:, : len(JOINTS)] = servo_target(reference, phase, self.control_s, self.kp, correction)
+            control[:, : len(JOINTS)] = servo_target(
+                reference, phase, self.control_s, self.kp, correction, cadence
+            )
             self._robot_command(root, control)
             if watch is not None:
                 watch(qpos)
@@ -290,7 +293,7 @@ class _Walkers:
                 ("base", base),
             ):
                 kept[name][alive, at] = values[alive, stride - 1 :: stride]
-            phase = np.mod(phase + self._cadence() * self.control_s / reference.stride_s, 1.0)
+            phase = np.mod(phase + cadence * self.control_s / reference.stride_s, 1.0)
             batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         return self._recording(kept, alive, survived, stride)
 
@@ -324,7 +327,7 @@ class FreeWalk(_Walkers):
     def __init__(self, policy: Policy, *, twin: dict, walkers: int, threads: int = 1):
         spec = human_spec(policy.body, twin["human"])
         add_gait_sensors(spec)
-        super().__init__(policy, spec, spec.compile(), twin, walkers, threads)
+        super().__init__(policy, spec.compile(), twin, walkers, threads)
 
     def _start(self, phase: np.ndarray) -> None:
         qpos, qvel, _ = self.policy.reference.at(phase)
@@ -365,7 +368,7 @@ class CoupledWalk(_Walkers):
             policy.body, twin["human"], robot, twin["follow"], plant, rest, limits
         )
         self._dress(spec, robot)
-        super().__init__(policy, spec, compiled(spec, robot), twin, len(conditions) * walkers, threads)
+        super().__init__(policy, compiled(spec, robot), twin, len(conditions) * walkers, threads)
         self.conditions, self.walkers, self.rest = conditions, walkers, rest
         self.follow, self.cadence_exponent = twin["follow"], twin["coupled"]["cadence_exponent"]
         m = self.model

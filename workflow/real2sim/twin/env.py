@@ -58,15 +58,20 @@ def gains(who: Body) -> np.ndarray:
 
 
 def servo_target(
-    reference: Reference, phase: np.ndarray, control_s: float, kp: np.ndarray, correction: np.ndarray
+    reference: Reference,
+    phase: np.ndarray,
+    control_s: float,
+    kp: np.ndarray,
+    correction: np.ndarray,
+    cadence: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Targets (m, 21) [rad] held over a control step that starts at ``phase`` (m,).
 
     The reference half a step ahead, its velocity times the servo's lead, the torque it needs per gain, and the
-    policy's ``correction`` (m, 13) [rad] of legs and trunk.
+    policy's ``correction`` (m, 13) [rad] of legs and trunk. ``cadence`` is the clock's own speed, 1 or (m,).
     """
-    qpos, qvel, torque = reference.at(phase + 0.5 * control_s / reference.stride_s)
-    target = qpos[:, 7:] + servo_lead_s() * qvel[:, 6:] + torque / kp
+    qpos, qvel, torque = reference.at(phase + 0.5 * cadence * control_s / reference.stride_s)
+    target = qpos[:, 7:] + servo_lead_s() * np.reshape(cadence, (-1, 1)) * qvel[:, 6:] + torque / kp
     target[:, :ACTIONS] += correction
     return target
 
@@ -109,12 +114,15 @@ def observe(
     q: np.ndarray,
     qd: np.ndarray,
     lane_y: np.ndarray,
+    cadence: np.ndarray | float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the policy sees (m, OBSERVATIONS), mirrored in the second half of the cycle, and where it was (m,).
 
-    ``q``, ``qd`` (m, 21) joint angles and rates; ``lane_y`` (m,) [m] where the person means to walk.
+    ``q``, ``qd`` (m, 21) joint angles and rates; ``lane_y`` (m,) [m] where the person means to walk; ``cadence`` is
+    the clock's own speed, 1 or (m,).
     """
     ref_q, ref_v, _ = reference.at(phase)
+    ref_v = ref_v * np.reshape(cadence, (-1, 1))
     turn = 2 * np.pi * phase
     mirrored = np.mod(phase, 1.0) >= 0.5
     yaw = root.yaw

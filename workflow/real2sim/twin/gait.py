@@ -365,25 +365,24 @@ class _Motion:
         """Joint torques (PHASES, 21) [Nm] with the floor's force where it acts, split between the feet by its place."""
         model, data, half = self.model, self.data, PHASES // 2
         points, force, pressure = self.contact(qpos, qvel, qacc)
-        left = np.roll(points, half, axis=0) * [1, -1, 1]
+        feet = {"r": points, "l": np.roll(points, half, axis=0) * [1, -1, 1]}
         out = np.empty((PHASES, 21))
         jacobian = np.zeros((3, model.nv))
         for i in range(PHASES):
             data.qpos[:], data.qvel[:], data.qacc[:] = qpos[i], qvel[i], qacc[i]
             mujoco.mj_inverse(model, data)
             torque = data.qfrc_inverse.copy()
-            ahead, behind = (points[i], left[i]) if i < half else (left[i], points[i])
-            low, high = behind[2, 0], ahead[0, 0]
-            place = float(np.clip(pressure[i, 0], low, max(high, ahead[2, 0])))
-            # between the rear toes and the leading heel both feet carry; past the heel the leading one alone
-            share = np.clip((place - low) / max(high - low, 1e-3), 0, 1) if i % half < 0.2 * PHASES else 1.0
-            for foot, part in ((ahead, share), (behind, 1 - share)):
-                if part <= 0:
-                    continue
-                x = np.clip(pressure[i, 0], foot[0, 0], foot[2, 0])
-                side = "r" if (foot is points[i] or np.shares_memory(foot, points)) else "l"
-                body = model.body(f"foot_{side}").id
-                mujoco.mj_jac(model, data, jacobian, None, np.array([x, foot[1, 1], 0.0]), body)
+            ahead, behind = ("r", "l") if i < half else ("l", "r")
+            rear_toe, front_heel = feet[behind][i, 2, 0], feet[ahead][i, 0, 0]
+            share = 1.0
+            if i % half < 0.2 * PHASES:
+                # both feet carry while the pressure moves from the rear toes to the leading heel
+                way = (pressure[i, 0] - rear_toe) / max(front_heel - rear_toe, 1e-3)
+                share = float(np.clip(way, 0, 1))
+            for side, part in ((ahead, share), (behind, 1 - share)):
+                heel, ball, toe = feet[side][i]
+                place = np.array([np.clip(pressure[i, 0], heel[0], toe[0]), ball[1], 0.0])
+                mujoco.mj_jac(model, data, jacobian, None, place, model.body(f"foot_{side}").id)
                 torque -= jacobian.T @ (part * force[i])
             out[i] = torque[6:]
         return out

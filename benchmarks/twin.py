@@ -31,21 +31,11 @@ from real2sim.coupling.plant import JointLimits, RestPose
 from real2sim.geometry import rotation_xyz
 from real2sim.twin import adaptation
 from real2sim.twin.coupled import CoupledWalk, FreeWalk
-from real2sim.twin.evaluate import (
-    PUSH_DIRECTIONS,
-    PUSH_PHASES,
-    accepted,
-    environment,
-    free_walk,
-    plain,
-    push_battery,
-    pushed_walk,
-    withstands,
-)
+from real2sim.twin.evaluate import plain
 from real2sim.twin.gait import PHASES, SAGITTAL, Reference, make_reference
 from real2sim.twin.human import Body
 from real2sim.twin.policy import Policy, load_policy, save_policy
-from real2sim.twin.stage import PAPER, PAPER_GAMMA, bar_rows, conditions_of, read_prior
+from real2sim.twin.stage import PAPER, PAPER_GAMMA, bar_rows, conditions_of, examined, read_prior
 from real2sim.twin.train import Trainer, train
 
 BODIES = {1.55: Body(1.55, 50.0, "female"), 1.75: Body(1.75, 75.0, "male"), 1.90: Body(1.90, 110.0, "male")}
@@ -109,36 +99,14 @@ def trained(
     return load_policy(policy), read_json(record)
 
 
-def examined(policy: Policy, seed: int, study: dict, threads: int) -> list[dict]:
+def free_walker(policy: Policy, seed: int, study: dict, threads: int) -> list[dict]:
     """Rows of bars of a free walker, as the workflow writes them."""
-    twin = study["twin"]
-    e, bars = twin["evaluation"], twin["acceptance"]
-    env = environment(policy, twin, nsim=e["walkers"], threads=threads, seed=0)
-    walk = free_walk(env, policy, seconds=e["walk_s"], settle_s=e["settle_s"])
-    crowd = environment(policy, twin, nsim=PUSH_DIRECTIONS * PUSH_PHASES, threads=threads, seed=1)
-    pushes = [
-        pushed_walk(crowd, policy, force_n=f, minutes=e["push_minutes"], settle_s=e["settle_s"])
-        for f in e["push_n"]
-    ]
-    battery = push_battery(
-        crowd,
-        policy,
-        force_n=e["battery_n"],
-        lasts_s=e["battery_s"],
-        settle_s=e["settle_s"],
-        after_s=e["battery_after_s"],
-    )
-    met = accepted(walk, bars) | {
-        "pushes": withstands(pushes[0], bars),
-        "battery": battery["survived_share"] >= bars["battery_share"],
-    }
-    for p in pushes[1:]:
+    found = examined(policy, study["twin"], threads)
+    for p in found["pushes"][1:]:
         print(f"    (not a bar) {p['force_n']:g} N: {p['falls']} falls in {p['minutes']:.0f} minutes")
-    print(
-        f"    (not a bar) largest floor force of any stride {walk['floor_force_peak_bw']['largest']:.2f} BW"
-    )
-    about = {"walk": walk, "pushes": pushes, "battery": battery, "met": met, "bars": bars}
-    return bar_rows("", about | {"seed": seed, "phantom": True})
+    largest = found["walk"]["floor_force_peak_bw"]["largest"]
+    print(f"    (not a bar) largest floor force of any stride {largest:.2f} BW")
+    return bar_rows("", found | {"seed": seed, "phantom": True})
 
 
 def interface(phantom: dict) -> tuple[RestPose, JointLimits]:
@@ -265,7 +233,7 @@ def main() -> int:
             ]
             bars += [
                 (r["bar"], r["value"], r["limit"], r["met"])
-                for r in examined(policy, seed, study, options.threads)
+                for r in free_walker(policy, seed, study, options.threads)
             ]
             bars += show_coupled(
                 coupled(policy, study, phantom, options.threads), study["twin"]["coupled"]["main_cap"]

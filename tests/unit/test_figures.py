@@ -1,7 +1,5 @@
 """Figures are written, the same bytes for the same data."""
 
-from pathlib import Path
-
 import pytest
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
@@ -12,17 +10,7 @@ from real2sim.statistics.loso import loso_table
 from real2sim.statistics.shareability import priors, shareability
 from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
 from synthetic_results import write_fits, write_loso, write_subject_yaml, write_sweep_poses
-
-STATISTICS = {
-    "bootstrap": 200,
-    "seed": 1,
-    "confidence": 0.95,
-    "common_below": 0.50,
-    "distinct_from": 0.75,
-    "min_subjects": 3,
-}
-TIGHTNESS = {"bootstrap": 100, "permutations": 99, "seed": 1, "alpha": 0.05, "min_levels": 6}
-PUBLISHED = Path(__file__).parents[2] / "resources" / "published"
+from synthetic_study import PUBLISHED, STATISTICS, TIGHTNESS
 
 
 def _results(folder, people, phantom=True):

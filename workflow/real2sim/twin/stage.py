@@ -29,7 +29,7 @@ from real2sim.twin.evaluate import (
     withstands,
 )
 from real2sim.twin.gait import SAGITTAL
-from real2sim.twin.policy import load_policy
+from real2sim.twin.policy import Policy, load_policy
 from real2sim.twin.reference import PACKAGES, read_walks
 
 # Range of motion (mean) and peak of the paper's unseen person, table of section V-C.2 [degrees]
@@ -56,9 +56,8 @@ PAPER = {
 PAPER_GAMMA = {"soft": 0.705, "prior": 0.360, "stiff": 0.951, "walk_robot": 0.389}
 
 
-def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, threads: int = 1) -> None:
-    """Examine a policy against every bar of a free walker; ``settings`` is the slice ``twin``."""
-    learnt = load_policy(policy)
+def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
+    """What a free walker does in every examination, and which bars that meets; ``settings`` is the slice ``twin``."""
     e, bars = settings["evaluation"], settings["acceptance"]
     env = environment(learnt, settings, nsim=e["walkers"], threads=threads, seed=0)
     walk = free_walk(env, learnt, seconds=e["walk_s"], settle_s=e["settle_s"])
@@ -78,19 +77,16 @@ def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, thre
     met = accepted(walk, bars)
     met["pushes"] = withstands(pushes[0], bars)
     met["battery"] = battery["survived_share"] >= bars["battery_share"]
+    return {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
+
+
+def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, threads: int = 1) -> None:
+    """Examine a policy against every bar of a free walker; ``settings`` is the slice ``twin``."""
+    found = examined(load_policy(policy), settings, threads)
     about = read_json(record, ("phantom", "seed"))
     write_json(
         out,
-        {
-            "phantom": about["phantom"],
-            "seed": about["seed"],
-            "met": met,
-            "walk": plain(walk),
-            "pushes": plain(pushes),
-            "battery": battery,
-            "bars": bars,
-            "policy_sha256": sha256(policy),
-        },
+        {"phantom": about["phantom"], "seed": about["seed"]} | found | {"policy_sha256": sha256(policy)},
     )
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import yaml
 from real2sim.artefacts import read_json
-from real2sim.diagnosis.decide import GROUPS, Candidate, decide, logits
+from real2sim.diagnosis.decide import Candidate, decide, logits
 from scipy.optimize import minimize
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,9 +68,6 @@ class Example:
         if stratum == "out_of_library":
             return float(p[-1])
         wanted = set(self.names)
-        if stratum == "form_mismatch":
-            wanted |= {m for members in GROUPS.values() if wanted & set(members) for m in members}
-            return float(sum(s for c, s in zip(self.candidates, p, strict=False) if set(c.names) <= wanted))
         return float(sum(s for c, s in zip(self.candidates, p, strict=False) if set(c.names) == wanted))
 
 
@@ -138,9 +135,6 @@ def right(row: Example, constants: dict[str, float]) -> tuple[bool, str]:
     chosen = " + ".join(sorted(row.candidates[d.chosen].names)) if d.chosen is not None else d.verdict
     if stratum == "mixture":
         return chosen == " + ".join(sorted(set(row.names))), chosen
-    if stratum == "form_mismatch":
-        group = next((m for m in GROUPS.values() if row.names[0] in m), row.names)
-        return d.verdict in group, chosen
     return d.verdict == row.names[0], chosen
 
 

@@ -39,7 +39,7 @@ from real2sim.configuration import validated
 from real2sim.coupling.effects import EFFECTS, Context, Fields, Placed, PlannedForce, Scales
 from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import Pair, attribute
-from real2sim.diagnosis.decide import GROUPS, Decision, decide
+from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.refit import JointResiduals, refit
 from real2sim.diagnosis.stage import candidates_of
 from real2sim.identification.parameters import PARAMETERS, Bounds
@@ -490,13 +490,12 @@ def row_of(system: System, settings: dict, progress: Callable[[str], None]) -> d
     decision, found, z = diagnosed(system, settings, progress)
     best = found.plain if decision.chosen is None else found.hypotheses[decision.chosen]
     ranked = sorted(decision.probabilities.items(), key=lambda item: -item[1])[:3]
-    group = next((g for g, members in GROUPS.items() if decision.verdict in members), None)
     return {
         "system": system.name,
         "expected": list(system.right),
         "verdict": decision.verdict,
         "right": decision.verdict in system.right,
-        "group": group,
+        "ambiguity_group": list(decision.group),
         "set": best.key,
         "probabilities": {name: p for name, p in ranked if p > 1e-3},
         "chi2_plain": list(found.plain.chi2),

@@ -10,41 +10,11 @@ import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
 from real2sim.coupling.superset import EffectReplay
-from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
 from real2sim.diagnosis.score import score_diagnosis
+from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
-
-NAMES_OF_THE_DESIGN = [
-    "slack",
-    "one_sided",
-    "stiffening",
-    "asymmetric_stiffness",
-    "coulomb",
-    "lugre",
-    "hysteresis",
-    "relaxation",
-    "creep",
-    "migration",
-    "cross_coupling",
-    "misalignment",
-    "preload",
-    "joint_limit",
-    "quadratic_damping",
-    "added_mass",
-    "base_compliance",
-    "controller_reaction",
-    "tilt",
-    "soft_tissue",
-    "lab_yaw",
-    "replay_lag",
-    "sync_offset",
-    "clock_drift",
-    "filter_lag",
-    "marker_offset",
-    "marker_drift",
-    "outliers",
-]
 
 SCALES = Scales(
     np.array([0.05, 0.04, 0.02, 0.08, 0.1, 0.25]),
@@ -121,8 +91,8 @@ def plain() -> np.ndarray:
     return replay([]).run_effects(PRIOR[None], [])[0]
 
 
-def test_catalogue_has_the_names_of_the_design():
-    assert list(EFFECT_NAMES) == NAMES_OF_THE_DESIGN
+def test_catalogue_has_the_names_that_the_suite_is_made_of():
+    assert EFFECT_NAMES == SUITE_EFFECTS
 
 
 def test_every_entry_says_what_it_is():
@@ -220,7 +190,7 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
     regimes = [
         {"bin": "large amplitude, fast, outward", "share": 0.2},
         {"bin": "large amplitude, fast, returning", "share": 0.5},
-        {"bin": "large amplitude, slow, outward", "share": 0.3 if verdict == "lugre" else 0.1},
+        {"bin": "large amplitude, slow, outward", "share": 0.3 if verdict == "relaxation" else 0.1},
     ]
     answer = {
         "subject": name,
@@ -249,10 +219,32 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
     return truth, target
 
 
+def test_what_the_data_leave_in_the_running_is_the_ambiguity_group():
+    plain = Candidate((), 0, (9000.0, 8000.0))
+    sets = [Candidate((name,), 1, (1010.0, chi2)) for name, chi2 in (("lugre", 1020.0), ("coulomb", 1030.0))]
+    decision = decide(plain, sets, (1000, 1000), CALIBRATION)
+    assert decision.group == ("lugre", "coulomb")
+    assert next_trial(decision) is not None
+
+
+def test_two_causes_that_are_sure_together_need_no_further_trial():
+    plain = Candidate((), 0, (90000.0, 80000.0))
+    sets = [
+        Candidate(("slack", "tilt"), 3, (1010.0, 1020.0)),
+        Candidate(("slack",), 1, (30000.0, 20000.0)),
+        Candidate(("tilt",), 2, (70000.0, 50000.0)),
+    ]
+    decision = decide(plain, sets, (1000, 1000), CALIBRATION)
+    assert decision.chosen == 0
+    assert max(decision.probabilities.values()) < 0.9
+    assert decision.group == (decision.verdict,)
+    assert next_trial(decision) is None
+
+
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     made = [
         _case("C0001", "in_library", ["slack"], "slack", tmp_path),
-        _case("C0002", "in_library", ["coulomb"], "lugre", tmp_path),
+        _case("C0002", "in_library", ["coulomb"], "relaxation", tmp_path),
         _case("C0003", "null", [], NONE, tmp_path),
         _case("C0004", "null", [], "slack", tmp_path),
         _case("C0005", "out_of_library", ["push"], UNKNOWN, tmp_path),

@@ -48,7 +48,7 @@ COMMANDS = {
     "twin-evaluate": "real2sim.twin.stage:twin_evaluate",
     "twin-coupled": "real2sim.twin.stage:twin_coupled",
     "twin-table": "real2sim.twin.stage:twin_table",
-    "twin-clip": "real2sim.twin.clip:twin_clip",
+    "twin-clip": "real2sim.figures.twin_clip:twin_clip",
     "twin-figure": "real2sim.figures.twin:twin_figure",
     "tightness-figure": "real2sim.figures.tightness:tightness_figure",
     "convergence-figure": "real2sim.figures.fits:convergence_figure",

@@ -795,7 +795,7 @@ EFFECTS: tuple[Effect, ...] = (
         "interface",
         "F = k (1 + b sgn(q)) q",
         (EffectParameter("asymmetry", "1", -0.97, 0.97, (-0.4, 0.4)),),
-        "asymmetry",
+        "asymmetric_stiffness",
         _LADDER,
         plant=SplitSpring(lambda v, where: (0.0 * v[:, 0], 0.0 * v[:, 0], 1 - v[:, 0], 1 + v[:, 0])),
         replaces_spring=True,
@@ -809,7 +809,7 @@ EFFECTS: tuple[Effect, ...] = (
                 "quadratic", "N/m2|Nm/rad2", -0.6, 0.6, (-0.2, 0.2), lambda s, i: float(s.k[i] / s.q[i])
             ),
         ),
-        "asymmetry",
+        "asymmetric_stiffness",
         _LADDER,
         plant=Polynomial("jnt_stiffnesspoly", 0),
         form="_quadratic",
@@ -819,7 +819,7 @@ EFFECTS: tuple[Effect, ...] = (
         "interface",
         "F = Fc sgn(qdot)",
         (_FRICTION,),
-        "friction",
+        "V",
         "slow ramps and reversals at several speeds",
         plant=DryFriction(),
     ),
@@ -835,7 +835,7 @@ EFFECTS: tuple[Effect, ...] = (
                 "stribeck_rate", "m/s|rad/s", 0.01, 1.0, (0.1,), lambda s, i: float(s.v[i]), log=True
             ),
         ),
-        "friction",
+        "lugre",
         "sub-millimetre reversals and a ladder of speeds",
         plant=Bristles(),
         substeps=4,
@@ -848,7 +848,7 @@ EFFECTS: tuple[Effect, ...] = (
             _FRICTION,
             EffectParameter("travel", "m|rad", 0.04, 2.0, (0.1, 0.5), _q, log=True),
         ),
-        "V",
+        "hysteresis",
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=Elastoplastic(4),
     ),
@@ -861,7 +861,7 @@ EFFECTS: tuple[Effect, ...] = (
             EffectParameter("loading", "1/m|1/rad", -1.5, 25.0, (10.0, 2.0), _per_q),
             EffectParameter("dissipation", "1/m|1/rad", 0.0, 12.5, (3.0, 0.6), _per_q),
         ),
-        "V",
+        "hysteresis",
         "the same amplitude at 0.1, 1 and 4 Hz",
         plant=PlannedForce(_bouc_wen),
         form="_bouc_wen",
@@ -887,7 +887,7 @@ EFFECTS: tuple[Effect, ...] = (
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 10.0, (0.5,), _k, log=True),
             EffectParameter("time_constant", "s", 2.5, 60.0, (6.0,), log=True),
         ),
-        "Dft",
+        "creep",
         "reload after a rest",
         plant=Maxwell(),
     ),
@@ -1010,7 +1010,7 @@ EFFECTS: tuple[Effect, ...] = (
             EffectParameter("gain", "1", -1.5, 4.0, (-0.3, 0.3)),
             EffectParameter("delay", "s", 0.0, 0.5, (0.1,)),
         ),
-        "M",
+        "controller_reaction",
         "the same motion with the controller off",
         scope="whole",
         plant=PlannedForce(_reaction, ROBOT_JOINTS[:2]),
@@ -1086,7 +1086,7 @@ EFFECTS: tuple[Effect, ...] = (
         "output",
         "y((1 + eps) t)",
         (EffectParameter("drift", "1", -0.02, 0.02, (0.001,)),),
-        "T",
+        "clock_drift",
         _JERK,
         scope="whole",
         output_chain=_drifting_clock,
@@ -1140,7 +1140,7 @@ EFFECTS: tuple[Effect, ...] = (
         "output",
         "isolated samples of a marker are not the marker",
         (),
-        "quality",
+        "outliers",
         "the same trial, labelled again",
         scope="whole",
         output_chain=_without_spikes,
@@ -1149,3 +1149,8 @@ EFFECTS: tuple[Effect, ...] = (
 )
 
 EFFECT_NAMES = tuple(dict.fromkeys(effect.name for effect in EFFECTS))
+# Effects by ambiguity group: those that a first-order pass predicts to look alike (design, effects.md)
+GROUPS = {
+    group: tuple(dict.fromkeys(effect.name for effect in EFFECTS if effect.group == group))
+    for group in dict.fromkeys(effect.group for effect in EFFECTS)
+}

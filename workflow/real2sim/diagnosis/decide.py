@@ -18,16 +18,8 @@ from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS
 
 NONE, UNKNOWN = "none", "unknown"
 
-# Effects that kinematics can hardly tell apart (effects.md), by what a first-order pass predicts
-GROUPS: dict[str, tuple[str, ...]] = {
-    "T": ("replay_lag", "sync_offset", "filter_lag", "clock_drift"),
-    "S": ("one_sided", "preload", "tilt", "marker_offset"),
-    "Dft": ("migration", "marker_drift", "creep"),
-    "M": ("added_mass", "base_compliance", "controller_reaction"),
-    "V": ("coulomb", "lugre", "hysteresis", "relaxation", "quadratic_damping", "soft_tissue"),
-    "A": ("slack", "stiffening", "joint_limit", "asymmetric_stiffness"),
-    "F": ("cross_coupling", "misalignment", "lab_yaw"),
-}
+# Probability from which an effect is still in the running
+IN_THE_RUNNING = 0.02
 
 
 @dataclass(frozen=True)
@@ -114,22 +106,20 @@ def decide(
         return Decision(probabilities, sets, verdict, (verdict,), None)
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
-    return Decision(probabilities, sets, verdict, _group(verdict, probabilities), chosen)
+    return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
 
 
-def _group(verdict: str, probabilities: Mapping[str, float]) -> tuple[str, ...]:
-    """The verdict and those of its group that the data leave more than a little probability."""
-    for members in GROUPS.values():
-        if verdict in members:
-            rest = [m for m in members if m != verdict and probabilities[m] > 0.02]
-            return (verdict, *sorted(rest, key=lambda m: -probabilities[m]))
-    return (verdict,)
+def _group(names: Sequence[str], verdict: str, probabilities: Mapping[str, float]) -> tuple[str, ...]:
+    """The verdict, then effects outside the named set that the data leave in the running, likeliest first."""
+    rest = [n for n in EFFECT_NAMES if n not in names and probabilities[n] > IN_THE_RUNNING]
+    return (verdict, *sorted(rest, key=lambda n: -probabilities[n]))
 
 
 def next_trial(decision: Decision) -> str | None:
     """The trial that would tell apart what is left, in one phrase; None where nothing is left to tell."""
     top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
-    if top[0][1] >= 0.9:
+    # the probability of a set of effects is shared out between them
+    if max(top[0][1], *decision.sets) >= 0.9:
         return None
     for name, _ in top:
         for effect in EFFECTS:

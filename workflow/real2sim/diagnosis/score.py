@@ -11,8 +11,8 @@ import numpy as np
 from statsmodels.stats.proportion import proportion_confint
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.coupling.effects import EFFECT_NAMES
-from real2sim.diagnosis.decide import GROUPS, NONE, UNKNOWN
+from real2sim.coupling.effects import EFFECT_NAMES, GROUPS
+from real2sim.diagnosis.decide import NONE, UNKNOWN
 
 Row = dict[str, Any]
 
@@ -168,7 +168,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         ),
         _claim("out of library: a wrong name", named, "<= 10 %", lambda v: v <= 0.10),
         _claim("in library, rho >= 0.2: answered", answered, ">= 90 %", lambda v: v >= 0.90),
-        _claim("form mismatch: family", grouped(other), ">= 85 %", lambda v: v >= 0.85),
+        _claim("form mismatch: family", top(other), ">= 85 %", lambda v: v >= 0.85),
         _claim("mixture: both in the top 3", among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
         _claim(
             "mixture: exact set",

@@ -13,6 +13,7 @@ from mujoco.rendering.classic import gl_context
 
 from real2sim.coupling.plant import RestPose
 from real2sim.errors import InputError
+from real2sim.figures.style import PHANTOM_LABEL
 from real2sim.files import replacing
 from real2sim.identification.trial import load_limits
 from real2sim.tightness import read_pose
@@ -22,7 +23,6 @@ from real2sim.twin.stage import read_prior
 
 SIZE = (400, 300)  # of a frame [pixels]
 FRAMES_PER_S = 14
-_BANNER = "phantom cohort (synthetic)"
 
 
 def dress(spec: mujoco.MjSpec, robot: Path) -> None:
@@ -140,7 +140,7 @@ def twin_clip(
         renderer.update_scene(data, camera)
         frame = Image.fromarray(renderer.render())
         if about.get("phantom"):
-            ImageDraw.Draw(frame).text((8, 6), _BANNER, fill=(190, 60, 0))
+            ImageDraw.Draw(frame).text((8, 6), PHANTOM_LABEL, fill=(190, 60, 0))
         frames.append(frame.quantize(32, dither=Image.Dither.NONE))
     renderer.close()
     with replacing(out) as temporary:

@@ -23,6 +23,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
+PUBLISHED = ROOT / "resources" / "published"
 
 import numpy as np
 from real2sim.artefacts import read_json, write_json
@@ -35,7 +36,7 @@ from real2sim.twin.evaluate import plain
 from real2sim.twin.gait import PHASES, SAGITTAL, Reference, make_reference
 from real2sim.twin.human import Body
 from real2sim.twin.policy import Policy, load_policy, save_policy
-from real2sim.twin.stage import PAPER, PAPER_GAMMA, bar_rows, conditions_of, examined, read_prior
+from real2sim.twin.stage import bar_rows, conditions_of, examined, read_paper, read_prior
 from real2sim.twin.train import Trainer, train
 
 BODIES = {1.55: Body(1.55, 50.0, "female"), 1.75: Body(1.75, 75.0, "male"), 1.90: Body(1.90, 110.0, "male")}
@@ -124,7 +125,7 @@ def coupled(policy: Policy, study: dict, phantom: dict, threads: int) -> list[di
     """Figures of every condition of a coupled walk."""
     c, ingest = study["twin"]["coupled"], study["ingest"]
     rest, limits = interface(phantom)
-    prior = read_prior(ROOT / "resources" / "published" / "table1_priors.csv")
+    prior = read_prior(PUBLISHED / "table1_priors.csv")
     conditions = conditions_of(prior, None, c)
     walk = CoupledWalk(
         policy,
@@ -177,8 +178,11 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
             f"    {r['name']:6s} cap {r['cap']:.2f} {factor:14s} survived {100 * r['survived']:3.0f} %,"
             f" {r['cycles']:3d} cycles, change of RoM {change} deg, {spread}"
         )
-    paper = "/".join(f"{PAPER[j]['prior'][0] - PAPER[j]['free'][0]:+.1f}" for j in SAGITTAL)
-    print(f"    paper: prior {paper} deg; gamma " + ", ".join(f"{k} {v}" for k, v in PAPER_GAMMA.items()))
+    paper = read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv")
+    angles = [paper["angles"][joint] for joint in SAGITTAL]
+    change = "/".join(f"{a['prior']['rom_deg'] - a['free']['rom_deg']:+.1f}" for a in angles)
+    gamma = ", ".join(f"{name} {cloud['gamma']}" for name, cloud in paper["cloud"].items())
+    print(f"    paper: prior {change} deg; gamma {gamma}")
     plain_rows = [r for r in rows if not r["factors"]]
     bars: list[tuple[str, object, object, bool]] = [
         (f"survived {r['name']} cap {r['cap']:g}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL)

@@ -29,11 +29,12 @@ from real2sim.twin.env import ACTIONS, OBSERVATIONS
 from real2sim.twin.gait import SAGITTAL
 from real2sim.twin.policy import Policy
 from real2sim.twin.ppo import init_layers
-from real2sim.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows
+from real2sim.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows, read_paper
 
 from tests.unit.walking_person import ROOT, WHO, reference
 
 ROBOT = ROOT / "resources" / "robot" / "drba.xml"
+PUBLISHED = ROOT / "resources" / "published"
 STUDY = validated({}, "config", Path("config"))
 REST = RestPose(rotation_xyz(np.radians([1.0, -9.0, 0.5])), np.array([-0.075, 0.004, -0.032]))
 LIMITS = JointLimits(
@@ -267,6 +268,8 @@ def _record() -> dict:
     return {
         "seed": 1,
         "phantom": True,
+        "main_cap": 0.9,
+        "paper": read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv"),
         "free": about,
         "conditions": [
             {"name": "prior", **case},
@@ -285,6 +288,8 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     prior = next(row for row in gait if row["condition"] == "prior" and row["joint"] == "hip_flexion")
     assert prior["rom_change_deg"] == 0
     assert prior["rom_paper_deg"] == 28.3
+    free = next(row for row in gait if row["condition"] == "free" and row["joint"] == "ankle_angle")
+    assert free["rom_paper_deg"] == 12.1
     clouds = cloud_rows("S06", record)
     assert [row["robot_factor"] for row in clouds] == ["", "", "", "roll x3"]
     assert clouds[2]["gamma"] is None

@@ -145,6 +145,8 @@ rule twin_coupled:
         neutral="results/trials/{subject}/neutral/pose.parquet",
         tables=lambda wildcards: walk_tables(wildcards.subject, "walk_normal", "walk_robot"),
         robot=ROBOT,
+        gait=f"{PUBLISHED}/table3_gait.csv",
+        interface=f"{PUBLISHED}/table2_interface.csv",
     output:
         "results/twin/{subject}/seed-{seed}/coupled.json",
     log:
@@ -165,7 +167,8 @@ rule twin_coupled:
     shell:
         "python -m real2sim twin-coupled --policy {input.policy:q} --record {input.record:q} --priors {input.priors:q}"
         " --fits {input.fits:q} --limits {input.limits:q} --neutral {input.neutral:q} --normal {params.normal:q}"
-        " --assisted {params.assisted:q} --robot {input.robot:q} --settings {params.settings:q} --out {output:q}"
+        " --assisted {params.assisted:q} --robot {input.robot:q} --published-gait {input.gait:q}"
+        " --published-interface {input.interface:q} --settings {params.settings:q} --out {output:q}"
         " --threads {threads} 2>&1 | tee {log:q}"
 
 

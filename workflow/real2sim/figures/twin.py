@@ -27,9 +27,9 @@ def _band(axes: Axes, entry: dict[str, Any], colour: str, label: str, dashed: bo
 
 
 def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Conditions at the cap that is compared: the one nearest to 0.9 of the person's speed, or the slowest."""
+    """Conditions at the cap that is compared with the measurement, or at the one nearest to it."""
     plain = [c for c in record["conditions"] if not c["robot_factors"]]
-    cap = min({c["cap"] for c in plain}, key=lambda value: abs(value - 0.9))
+    cap = min(sorted({c["cap"] for c in plain}), key=lambda value: abs(value - record["main_cap"]))
     return [c for c in plain if c["cap"] == cap]
 
 
@@ -60,7 +60,7 @@ def twin_figure(*, coupled: list[Path], out: list[Path]) -> None:
 
     ``coupled`` are a person's coupled.json, one per seed; ranges of motion in the titles are means over the seeds.
     """
-    records = [read_json(path, ("conditions", "measured", "free", "phantom")) for path in coupled]
+    records = [read_json(path, ("conditions", "measured", "free", "main_cap", "phantom")) for path in coupled]
     first = records[0]
     with matplotlib.rc_context(style.RC):
         figure = style.new_figure(5.4, phantom=any(r["phantom"] for r in records), width_in=7.0)

@@ -32,29 +32,6 @@ from real2sim.twin.gait import SAGITTAL
 from real2sim.twin.policy import Policy, load_policy
 from real2sim.twin.reference import PACKAGES, read_walks
 
-# Range of motion (mean) and peak of the paper's unseen person, table of section V-C.2 [degrees]
-PAPER = {
-    "hip_flexion": {
-        "walk_normal": (33.4, 16.7),
-        "walk_robot": (27.0, 18.9),
-        "prior": (28.3, 17.3),
-        "free": (33.8, 18.4),
-    },
-    "knee_angle": {
-        "walk_normal": (57.5, 55.5),
-        "walk_robot": (52.1, 52.6),
-        "prior": (53.0, 51.8),
-        "free": (58.4, 56.3),
-    },
-    "ankle_angle": {
-        "walk_normal": (16.9, 5.4),
-        "walk_robot": (19.6, 7.6),
-        "prior": (11.3, 3.3),
-        "free": (12.1, 2.2),
-    },
-}
-PAPER_GAMMA = {"soft": 0.705, "prior": 0.360, "stiff": 0.951, "walk_robot": 0.389}
-
 
 def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
     """What a free walker does in every examination, and which bars that meets; ``settings`` is the slice ``twin``."""
@@ -110,6 +87,20 @@ def read_prior(path: Path) -> np.ndarray:
     return np.array([rows[name] for name in PARAMETERS])
 
 
+def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
+    """The paper's figures by condition: ``angles`` [deg] by joint (Table III) and ``cloud`` [mm] (Table II)."""
+    angles: dict[str, dict[str, dict[str, float]]] = {}
+    columns = ("rom_deg", "rom_sd_deg", "peak_deg")
+    for row in read_table(gait, ("joint", "condition", *columns)):
+        angles.setdefault(row["joint"], {})[row["condition"]] = {name: number(row[name]) for name in columns}
+    spread = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm", "gamma")
+    rows = read_table(interface, ("condition", *spread))
+    return {
+        "angles": angles,
+        "cloud": {row["condition"]: {name: number(row[name]) for name in spread} for row in rows},
+    }
+
+
 def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: dict) -> list[Condition]:
     """Every coupling that is simulated: four interfaces at each cap, the robot's compliances under the prior."""
     straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
@@ -134,6 +125,8 @@ def twin_coupled(
     normal: list[Path],
     assisted: list[Path],
     robot: Path,
+    published_gait: Path,
+    published_interface: Path,
     settings: dict,
     out: Path,
     threads: int = 1,
@@ -148,6 +141,8 @@ def twin_coupled(
         Prior table, the person's fits (none for a person who was not fitted), joint limits.
     neutral, normal, assisted
         pose.parquet of the neutral trial, folders of the walk_normal and walk_robot trials.
+    published_gait, published_interface
+        The paper's Tables III and II, to stand beside the figures found here.
     settings
         Slices ``twin``, ``plant`` and ``ingest``.
     """
@@ -192,6 +187,7 @@ def twin_coupled(
                 "own_speed_m_per_s": learnt.reference.speed,
                 "follow": twin["follow"],
                 "cadence_exponent": c["cadence_exponent"],
+                "main_cap": c["main_cap"],
                 "free": adaptation.describe(reference_cycles, real.get("walk_normal")),
                 "conditions": results,
                 "measured": {
@@ -199,7 +195,7 @@ def twin_coupled(
                     "cloud": _measured_cloud(assisted, filters),
                     "wrench": _measured_wrench(assisted),
                 },
-                "paper": {"angles": PAPER, "gamma": PAPER_GAMMA},
+                "paper": read_paper(published_gait, published_interface),
                 "policy_sha256": sha256(policy),
                 "provenance": provenance(
                     [policy, priors, limits, neutral, robot, *fits], PACKAGES, fingerprint(__name__)
@@ -394,7 +390,7 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
                     "rom_change_deg": change,
                     "peak_deg": j["peak_deg"][0],
                     "r_walk_robot": j.get("r") if cap is not None else None,
-                    "rom_paper_deg": PAPER[joint].get(name, (None,))[0],
+                    "rom_paper_deg": r["paper"]["angles"].get(joint, {}).get(name, {}).get("rom_deg"),
                     "survived": survived,
                     "walkers": walkers,
                     "phantom": r["phantom"],
@@ -424,7 +420,7 @@ def cloud_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
                 **dict(zip(("sigma_x_mm", "sigma_y_mm", "sigma_z_mm"), sigma, strict=True)),
                 "gamma": cloud.get("gamma"),
                 "ellipse_area_mm2": cloud.get("ellipse", {}).get("area_mm2"),
-                "gamma_paper": PAPER_GAMMA.get(name),
+                "gamma_paper": r["paper"]["cloud"].get(name, {}).get("gamma"),
                 "survived": survived,
                 "walkers": walkers,
                 "phantom": r["phantom"],

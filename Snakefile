@@ -33,6 +33,7 @@ include: "workflow/rules/shareability.smk"
 include: "workflow/rules/diagnosis.smk"
 include: "workflow/rules/motion.smk"
 include: "workflow/rules/twin.smk"
+include: "workflow/rules/paper.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/suite.smk"
 
@@ -45,6 +46,9 @@ rule all:
     default_target: True
     input:
         "results/report.html",
+        rules.paper_figures.output,
+        rules.paper_tables.output,
+        rules.claims.output,
         "results/tightness/cohort.json",
         "results/quality/quality.csv",
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),

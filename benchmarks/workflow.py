@@ -41,6 +41,7 @@ SMALL_BUDGET = {
     "identification": {"restarts": 1, "evaluations": 44},
     "tightness": {"bootstrap": 100, "permutations": 100},
     "statistics": {"bootstrap": 500},
+    "twin": {"cohort": "none"},
 }
 
 

@@ -110,6 +110,7 @@ def miniature(folder: Path) -> Study:
         identification={"restarts": 2, "evaluations": 44},
         tightness={"bootstrap": 100, "permutations": 100},
         statistics={"bootstrap": 100, "min_subjects": 2},
+        twin={"cohort": "none"},
     )
     return study
 

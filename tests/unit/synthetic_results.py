@@ -97,9 +97,11 @@ def write_sweep_poses(
 
 
 def write_subject_yaml(path: Path, *, loosest: int, tightest: int, selected: int) -> Path:
-    """A subject file that holds no more than its tightness levels."""
+    """A subject file of somebody in the calibration cohort, with the tightness levels given."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(
-        f"tightness: {{loosest_cm: {loosest}, tightest_cm: {tightest}, safe_comfortable_cm: {selected}}}\n"
+        f"id: {path.parent.name}\ncohort: calibration\nsex: female\nage_years: 30\nmass_kg: 70\nheight_m: 1.7\n"
+        f"waist_m: 0.8\ntightness: {{loosest_cm: {loosest}, tightest_cm: {tightest}, "
+        f"safe_comfortable_cm: {selected}}}\n"
     )
     return path

@@ -11,10 +11,14 @@ from real2sim.figures.tables import CROSS_TRIAL_COLUMNS, priors_table
 from real2sim.figures.tightness import tightness_figure
 from real2sim.identification.assessment import TABLE_COLUMNS
 from real2sim.identification.parameters import PARAMETERS, unit
+from real2sim.paper.claims import claims
+from real2sim.paper.tables import SIGMAS, paper_tables
 from real2sim.quality.stage import COLUMNS as QUALITY_COLUMNS
 from real2sim.statistics.loso import loso_table
 from real2sim.statistics.shareability import priors, shareability
 from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
+from real2sim.twin.gait import SAGITTAL as JOINTS
+from real2sim.twin.stage import BAR_COLUMNS, CLOUD_COLUMNS, GAIT_COLUMNS
 from synthetic_results import write_fits, write_loso, write_subject_yaml, write_sweep_poses
 
 STATISTICS = {
@@ -27,6 +31,7 @@ STATISTICS = {
 }
 TIGHTNESS = {"bootstrap": 100, "permutations": 99, "seed": 1, "alpha": 0.05, "min_levels": 6}
 PUBLISHED = Path(__file__).parents[2] / "resources" / "published"
+CLAIM_TABLES = ("claims", "bounds", "table1_priors", "table2_interface", "table3_gait", "pelvis_inertia")
 VERDICTS = ("determined", "weak", "not determined", "at bound")
 REMEDY = "Fill the gaps in QTM & record <again>."
 
@@ -122,6 +127,77 @@ def _cross_trial(path: Path, people: list[str]) -> Path:
     return path
 
 
+def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[str, Path]:
+    """Tables of the twins of a person: bars, gait and interface, one row per seed and condition."""
+    gait, cloud, bars = [], [], []
+    for seed in range(1, seeds + 1):
+        about = {"subject": subject, "seed": seed, "phantom": True}
+        bars += [
+            about | {"bar": "falls", "value": 0, "limit": 0, "met": True},
+            about | {"bar": "rmse_deg_knee_angle", "value": 3.5, "limit": 3, "met": seed > 1},
+        ]
+        for name, cap, change in (
+            ("free", None, None),
+            ("walk_robot", None, -6.0),
+            ("prior", 0.9, -2.0),
+            ("prior", 1.0, 5.0),
+        ):
+            for joint in JOINTS:
+                row = {"condition": name, "cap": cap, "joint": joint, "cycles": 20 + seed, "rom_sd_deg": 0.5}
+                row |= {"rom_deg": 30.0 + seed, "rom_change_deg": change, "peak_deg": 15.0}
+                gait.append(about | row | ({"r_walk_robot": 0.9 + 0.02 * seed} if cap else {}))
+        for name, cap, sigma, factor in (
+            ("walk_robot", None, (4.0, 10.0, 4.0), ""),
+            ("soft", 0.9, (15.0, 22.0, 2.0), ""),
+            ("prior", 0.9, (3.0, 5.0 + seed, 2.0), ""),
+            ("prior", 0.9, (3.0, 12.0, 2.0), "lateral x0.1"),
+            ("stiff", 0.9, (1.0, 1.0, 3.0), ""),
+        ):
+            sway = dict(zip(SIGMAS, (*sigma, sigma[0] / sigma[1]), strict=True))
+            cloud.append(about | {"condition": name, "cap": cap, "robot_factor": factor} | sway)
+    tables = {name: folder / f"{name}.csv" for name in ("bars", "gait", "interface")}
+    write_table(tables["bars"], BAR_COLUMNS, bars)
+    write_table(tables["gait"], GAIT_COLUMNS, gait)
+    write_table(tables["interface"], CLOUD_COLUMNS, cloud)
+    return tables
+
+
+def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
+    twin = write_twin(folder / "twin")
+    names = ("table1_priors", "table2_interface", "table3_gait", "cross_trial")
+    out = [folder / "paper" / f"{name}.{kind}" for name in names for kind in ("csv", "tex")]
+    paper_tables(
+        priors=given["priors"],
+        cross_trial=given["cross_trial"],
+        published=[PUBLISHED / "table2_interface.csv", PUBLISHED / "table3_gait.csv"],
+        main_cap=0.9,
+        out=out,
+        subject="S99",
+        gait=twin["gait"],
+        interface=twin["interface"],
+    )
+    return {"interface": out[2], "gait": out[4], "bars": twin["bars"]}
+
+
+def claim_arguments(folder: Path, study: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of `claims` for a study of `write_study`, but those of its twin."""
+    people = sorted({path.parent for path in (folder / "tightness").glob("*/subject.yaml")})
+    return {
+        "published": [PUBLISHED / f"{name}.csv" for name in CLAIM_TABLES],
+        "people": people,
+        "sweeps": [path / "sweep.csv" for path in people],
+        "tightness": study["tightness"],
+        "fits": folder / "fits.csv",
+        "cross_trial": study["cross_trial"],
+        "icc": study["icc"],
+        "loso": study["loso"],
+        "main_cap": 0.9,
+        "out": folder / "paper" / "claims.csv",
+        "out_tex": folder / "paper" / "claims.tex",
+        "out_numbers": folder / "paper" / "numbers.tex",
+    }
+
+
 def write_study(
     folder: Path, people: int = 4, *, phantom: bool = True, overridden: str = ""
 ) -> dict[str, Any]:
@@ -142,7 +218,7 @@ def write_study(
     loso_figure(loso=t["loso"], out=[figures["loso"]])
     convergence_figure(fits=fits, floors=[], out=[figures["convergence"]])
     cohort, breakpoints, tightness = _tightness(folder / "tightness", names)
-    return {
+    study: dict[str, Any] = {
         "people": dict.fromkeys(names, "calibration") | {"S99": "validation"},
         "figures": [tightness, *figures.values()],
         "quality": _gates(folder / "quality.csv", [*names, "S99"]),
@@ -155,3 +231,7 @@ def write_study(
         "loso": t["loso"],
         "fits": fits,
     }
+    study |= _paper(folder, study)
+    given = claim_arguments(folder, study)
+    claims(**given)
+    return study | {"claims": given["out"]}

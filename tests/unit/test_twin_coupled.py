@@ -12,7 +12,7 @@ import pytest
 import yaml
 from real2sim.configuration import validated
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
-from real2sim.figures.twin import twin_figure
+from real2sim.figures.twin import gait_figure, interface_figure
 from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.twin import adaptation
@@ -296,9 +296,10 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     assert clouds[1]["gamma_paper"] == 0.360
     path = tmp_path / "coupled.json"
     path.write_text(json.dumps(record))
-    out = [tmp_path / "twin.png", tmp_path / "twin.pdf"]
-    twin_figure(coupled=[path, path], out=out)
-    assert all(p.stat().st_size > 5000 for p in out)
+    for draw in (gait_figure, interface_figure):
+        out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
+        draw(coupled=[path, path], out=out)
+        assert all(p.stat().st_size > 5000 for p in out)
 
 
 def test_every_compliance_of_the_robot_names_its_source():

@@ -1,14 +1,20 @@
-"""The twin's rules: apart from the study, one training per person and seed, every cohort and seed configurable."""
+"""The twin's rules: the validation person's in the study, one training per person and seed, all configurable."""
 
 from __future__ import annotations
 
 
-def test_twin_is_a_target_of_its_own(project):
-    assert not any(rule.startswith("twin") for rule in project.planned())
-    planned = project.planned("twin")
+def test_the_study_validates_on_a_twin_of_the_person_kept_for_it(project):
+    planned = project.planned()
     assert planned["twin_train"] == planned["twin_evaluate"] == planned["twin_coupled"] == 3
-    assert planned["twin_reference"] == planned["twin_human"] == planned["twin_figure"] == 1
-    assert planned["twin_table"] == 1
+    assert planned["twin_reference"] == planned["twin_human"] == 1
+    assert planned["gait_figure"] == planned["interface_figure"] == planned["twin_table"] == 1
+
+
+def test_a_study_without_reinforcement_learning(project):
+    project.configure(twin={"cohort": "none"})
+    planned = project.planned()
+    assert not any(rule.startswith("twin") for rule in planned)
+    assert planned["claims"] == planned["paper_tables"] == planned["report_page"] == 1
 
 
 def test_everyone_gets_a_twin_where_asked_for(project):

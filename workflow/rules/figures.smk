@@ -1,6 +1,6 @@
 """Figures, tables and the page that holds them: from files only, so a changed colour re-fits nothing.
 
-Inputs:  sweeps, fits, ICC, priors, LOSO and cross-trial files.
+Inputs:  sweeps, fits, ICC, priors, LOSO and cross-trial files; tables and claims of the paper.
 Outputs: results/figures/*.{png,pdf,svg}, results/tables/*.csv, results/report.html.
 Steps:   one rule per figure or table.
 """
@@ -194,7 +194,8 @@ REPORTED = [name for name in DIAGNOSED if Path(f"results/diagnosis/{name}/diagno
 rule report_page:
     """The study on one page that needs no other file."""
     input:
-        figures=expand("results/figures/{name}.svg", name=FIGURES),
+        figures=expand("results/figures/{name}.svg", name=FIGURES)
+        + expand("results/twin/{subject}/{name}.svg", subject=WALKER, name=["interface", "gait"]),
         quality="results/quality/quality.csv",
         tightness="results/tightness/cohort.json",
         breakpoints=expand("results/tightness/{subject}/breakpoints.json", subject=PEOPLE),
@@ -203,6 +204,10 @@ rule report_page:
         icc="results/shareability/icc.csv",
         priors="results/tables/priors.csv",
         loso="results/loso/loso.csv",
+        interface="results/paper/table2_interface.csv",
+        gait="results/paper/table3_gait.csv",
+        claims="results/paper/claims.csv",
+        bars=TWIN_TABLES["bars"],
         fits=fits_of(CALIBRATION),
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
@@ -221,9 +226,11 @@ rule report_page:
         people=json.dumps({name: person.cohort for name, person in PEOPLE.items()}),
         title="Real2Sim calibration of the pelvis-strap interface",
         fits=lambda wildcards, input: braced(input.fits),
+        bars=lambda wildcards, input: ["--bars", *input.bars] if input.bars else [],
         code=code("report-page"),
     shell:
         "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"
         " --tightness {input.tightness:q} --breakpoints {input.breakpoints:q} --cross-trial {input.cross_trial:q}"
         " --identifiability {input.identifiability:q} --icc {input.icc:q} --priors {input.priors:q} --loso {input.loso:q}"
+        " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q}"
         " --fits {params.fits} --diagnoses {input.diagnoses:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -2,15 +2,15 @@
 
 Inputs:  subject.yaml, canonical tables of neutral, walk_normal and walk_robot, joint limits, fits and priors, robot twin.
 Outputs: results/twin/<SUBJECT>/human.xml, reference.{npz,json}; seed-<N>/policy.{npz,json}, evaluation.json,
-         coupled.json; twin.png, twin.pdf; results/twin/{bars,gait,interface}.csv.
+         coupled.json; {gait,interface}.{png,pdf,svg}; results/twin/{bars,gait,interface}.csv.
 Steps:   model from height, mass and sex; a gait that it can walk; one policy per seed; bars; coupled walks under every
-         interface; tables and figure. A person without a walk_normal trial has no gait to learn and is left out.
+         interface; tables and figures. A person without a walk_normal trial has no gait to learn and is left out.
 """
 
 TWINS = [
     name
     for name, person in PEOPLE.items()
-    if person.trials_of("walk_normal") and (STUDY["twin"]["cohort"] == "all" or person.cohort == "validation")
+    if person.trials_of("walk_normal") and STUDY["twin"]["cohort"] in ("all", person.cohort)
 ]
 SEEDS = STUDY["twin"]["seeds"]
 
@@ -24,7 +24,7 @@ rule twin:
     input:
         "results/twin/bars.csv",
         expand("results/twin/{subject}/human.xml", subject=TWINS),
-        expand("results/twin/{subject}/twin.png", subject=TWINS),
+        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface"]),
 
 
 rule twin_human:
@@ -198,17 +198,17 @@ rule twin_table:
         " --out-bars {output.bars:q} --out-gait {output.gait:q} --out-cloud {output.cloud:q} 2>&1 | tee {log:q}"
 
 
-rule twin_figure:
-    """Joint angles and interface cloud of a person, measured and simulated."""
+rule gait_figure:
+    """Joint angles over the gait cycle, measured and simulated (paper, Fig. 6)."""
     input:
         coupled=expand("results/twin/{{subject}}/seed-{seed}/coupled.json", seed=SEEDS),
     output:
-        png="results/twin/{subject}/twin.png",
-        pdf="results/twin/{subject}/twin.pdf",
+        multiext("results/twin/{subject}/gait", ".pdf", ".svg"),
+        report("results/twin/{subject}/gait.png", caption="../report/gait.rst", category="Validation"),
     log:
-        "logs/twin/{subject}/figure.log",
+        "logs/twin/{subject}/gait_figure.log",
     benchmark:
-        "logs/benchmarks/twin/{subject}/figure.tsv"
+        "logs/benchmarks/twin/{subject}/gait_figure.tsv"
     conda:
         "../envs/real2sim.yaml"
     threads: 1
@@ -216,9 +216,34 @@ rule twin_figure:
         mem_mb=600,
         runtime=10,
     params:
-        code=code("twin-figure"),
+        code=code("gait-figure"),
     shell:
-        "python -m real2sim twin-figure --coupled {input.coupled:q} --out {output.png:q} {output.pdf:q} 2>&1 | tee {log:q}"
+        "python -m real2sim gait-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule interface_figure:
+    """Interface midpoint relative to the pelvis from above, measured and simulated (paper, Fig. 5)."""
+    input:
+        coupled=expand("results/twin/{{subject}}/seed-{seed}/coupled.json", seed=SEEDS),
+    output:
+        multiext("results/twin/{subject}/interface", ".pdf", ".svg"),
+        report(
+            "results/twin/{subject}/interface.png", caption="../report/interface.rst", category="Validation"
+        ),
+    log:
+        "logs/twin/{subject}/interface_figure.log",
+    benchmark:
+        "logs/benchmarks/twin/{subject}/interface_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("interface-figure"),
+    shell:
+        "python -m real2sim interface-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule twin_clip:

@@ -72,6 +72,7 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; wh
 .missed { color: var(--vermilion); font-weight: 600 }
 .warned { font-weight: 600 }
 .met, .missed, .warned { white-space: nowrap }
+.wrapped { white-space: normal }
 .contents { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; list-style: none; padding: 0; max-width: none }
 a { color: var(--blue) }
 :focus-visible { outline: 3px solid var(--blue); outline-offset: 2px }

@@ -121,6 +121,10 @@ class Study:
     loso: list[Row]
     fits: list[dict[str, Any]]
     diagnoses: list[dict[str, Any]]
+    interface: list[Row]
+    gait: list[Row]
+    claims: list[Row]
+    bars: list[Row]
     files: dict[str, Path] = field(default_factory=dict)
 
 
@@ -136,12 +140,16 @@ def report_page(
     icc: Path,
     priors: Path,
     loso: Path,
+    interface: Path,
+    gait: Path,
+    claims: Path,
     fits: list[Path],
     title: str,
     out: Path,
+    bars: Path | None = None,
     diagnoses: list[Path] | None = None,
 ) -> None:
-    """Write the report of a study: cohort, gates, tightness, identification, priors, diagnoses, provenance.
+    """Write the report of a study: cohort, gates, tightness, identification, priors, validation, claims, provenance.
 
     Parameters
     ----------
@@ -149,8 +157,10 @@ def report_page(
         Cohort (calibration or validation) of everyone, by id.
     figures
         SVG files, by the names in `FIGURES`.
-    quality, tightness, breakpoints, cross_trial, identifiability, icc, priors, loso
+    quality, tightness, breakpoints, cross_trial, identifiability, icc, priors, loso, claims
         Files of the stages that bear these names.
+    interface, gait, bars
+        Tables II and III of `paper.tables`, and the twins' bars where one was trained.
     fits
         All fit files, for what they rest on.
     diagnoses
@@ -163,6 +173,10 @@ def report_page(
         "icc": icc,
         "priors": priors,
         "loso": loso,
+        "interface": interface,
+        "gait": gait,
+        "claims": claims,
+        **({"bars": bars} if bars else {}),
     }
     study = Study(
         people=people,
@@ -172,7 +186,7 @@ def report_page(
         fits=[read_json(path, ("subject", "trial", "cost", "settings", "provenance")) for path in fits],
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
         files=tables,
-        **{name: read_table(path) for name, path in tables.items()},
+        **({"bars": []} | {name: read_table(path) for name, path in tables.items()}),
     )
     parts = {name: make(study) for name, make in _SECTIONS.items()}
     shown = [part for part in parts.values() if part]
@@ -642,13 +656,135 @@ def _diagnoses(study: Study) -> str:
     )
 
 
+def _validation(study: Study) -> str:
+    """Tables II and III, and whether the twins are worth comparing."""
+
+    def with_sd(row: Row, key: str) -> str:
+        spread = row[f"{key}_seed_sd"]
+        return _value(row[key]) + (f" <span class='small'>± {_value(spread, 2)}</span>" if spread else "")
+
+    sway = [
+        [
+            escape(_words(row["condition"])),
+            *(with_sd(row, f"sigma_{axis}_mm") for axis in "xyz"),
+            with_sd(row, "gamma"),
+            *(_value(row[f"published_sigma_{axis}_mm"]) for axis in "xyz"),
+            _value(row["published_gamma"]),
+        ]
+        for row in study.interface
+    ]
+    spreads = [f"\N{GREEK SMALL LETTER SIGMA} {axis} [mm]" for axis in "xyz"]
+    gamma = "\N{GREEK SMALL LETTER GAMMA}"
+    head = ["Condition", *spreads, gamma, *(f"Published {name}" for name in (*spreads, gamma))]
+    table2 = table(
+        head,
+        sway,
+        caption="Spread of the interface midpoint about the pelvis while walking with the robot, mean and SD over "
+        "seeds. Paper: Table II.",
+        numeric=range(1, len(head)),
+    )
+    motion = [
+        [
+            escape(f"{_words(row['joint'])}, {_words(row['condition'])}"),
+            with_sd(row, "rom_deg"),
+            with_sd(row, "rom_change_deg"),
+            with_sd(row, "peak_deg"),
+            _value(row["r_walk_robot"]),
+            _value(row["published_rom_deg"]),
+            _value(row["published_peak_deg"]),
+        ]
+        for row in study.gait
+    ]
+    table3 = table(
+        [
+            "Joint, condition",
+            "Range [deg]",
+            "Change [deg]",
+            "Peak [deg]",
+            "r",
+            "Published range [deg]",
+            "Published peak [deg]",
+        ],
+        motion,
+        caption="Range of motion, its change by the robot, peak angle, and correlation with the person's own walk with "
+        "the robot; mean and SD over seeds. Paper: Table III.",
+        numeric=(1, 2, 3, 4, 5, 6),
+    )
+    return section(
+        "validation",
+        "Validation on an unseen person",
+        f'<div class="grid">{_figure(study, "interface")}{_figure(study, "gait")}</div>',
+        _bars(study),
+        table2,
+        table3,
+        _file(study, "interface", "gait", *(["bars"] if study.bars else [])),
+    )
+
+
+def _bars(study: Study) -> str:
+    """Is the simulated walker one to believe: its bars, missed ones by name."""
+    if not study.bars:
+        return paragraph("No twin was trained for this study: the tables hold what the paper prints.")
+    missed = _of(study.bars, met="false")
+    count = f"{len(study.bars) - len(missed)} of {len(study.bars)} bars of the simulated walkers are met."
+    if not missed:
+        return paragraph(count)
+    rows = [
+        [
+            escape(f"{row['subject']}, seed {row['seed']}"),
+            escape(_words(row["bar"])),
+            _value(row["value"]),
+            _value(row["limit"]),
+        ]
+        for row in missed
+    ]
+    return paragraph(f"{count} What a walker that misses a bar does with the robot is worth less.") + table(
+        ["Walker", "Bar missed", "Value", "Limit"], rows, caption="Bars missed", numeric=(2, 3)
+    )
+
+
+_JUDGED = {"reproduced": "met", "holds": "met", "not reproduced": "missed", "inconsistent": "missed"}
+
+
+def _claims(study: Study) -> str:
+    counts = Counter(row["verdict"] for row in study.claims)
+    rows = []
+    for row in study.claims:
+        kind = next((k for start, k in _JUDGED.items() if row["verdict"].startswith(start)), "warned")
+        rows.append(
+            [
+                f"{escape(row['says'])} <span class='small'>{escape(row['place'])}</span>",
+                _value(row["published"], 4),
+                _value(row["here"]),
+                escape(row["unit"]) if row["unit"] != "1" else "",
+                f'<span class="{kind} wrapped">{escape(row["verdict"])}</span>',
+                escape(row["reason"]),
+            ]
+        )
+    summary = "; ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+    return section(
+        "claims",
+        "What the paper claims, and what is found here",
+        paragraph(f"{len(study.claims)} claims: {summary}."),
+        table(
+            ["The paper says", "Published", "Here", "Unit", "Verdict", "Reason"],
+            rows,
+            caption="Every quantitative claim of the paper. Its own criterion stands in the file",
+            numeric=(1, 2),
+        ),
+        _file(study, "claims"),
+    )
+
+
 _SECTIONS: Mapping[str, Callable[[Study], str]] = {
     "cohort": _cohort,
     "quality": _gates,
     "tightness": _tightness,
     "identification": _identification,
     "priors": _priors,
+    "validation": _validation,
     "diagnosis": _diagnoses,
+    "claims": _claims,
 }
 
 

@@ -15,6 +15,7 @@ from real2sim.figures import style
 
 JOINTS = {"hip_flexion": "hip", "knee_angle": "knee", "ankle_angle": "ankle"}
 CONDITIONS = {"soft": style.SKY, "prior": style.VERMILION, "stiff": style.PURPLE, "own": style.GREEN}
+_WALKS = {"walk_normal": "no robot", "walk_robot": "with robot"}
 _PHASE = np.linspace(0, 100, 101)
 
 
@@ -34,11 +35,12 @@ def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
-    """Draw a 95 % ellipse about the origin; returns its reach [mm]."""
+    """Draw a cloud's samples and its 95 % ellipse about the origin; returns the ellipse's reach [mm]."""
     if not cloud.get("trials"):
         return 0.0
     major, minor = cloud["ellipse"]["semi_axes_mm"]
-    # drawn with y to the left, as seen from above with x up: the angle is that from x toward y
+    x, y = np.array(cloud["points_mm"]).T
+    axes.plot(x, y, ".", color=colour, markersize=1.2, alpha=0.35, markeredgewidth=0, zorder=1)
     axes.add_patch(
         Ellipse(
             (0, 0),
@@ -48,45 +50,64 @@ def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed:
             fill=False,
             edgecolor=colour,
             linestyle="--" if dashed else "-",
-            linewidth=1.0,
+            linewidth=1.2,
             label=f"{label}, γ = {cloud['gamma']:.2f}",
+            zorder=2,
         )
     )
     return float(major)
 
 
-def twin_figure(*, coupled: list[Path], out: list[Path]) -> None:
-    """Measured and simulated joint angles, and 95 % ellipses of the interface; curves of the first seed.
+def _records(coupled: list[Path]) -> list[dict[str, Any]]:
+    return [read_json(path, ("conditions", "measured", "free", "main_cap", "phantom")) for path in coupled]
 
-    ``coupled`` are a person's coupled.json, one per seed; ranges of motion in the titles are means over the seeds.
+
+def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Measured and simulated joint angles over the gait cycle, and what the robot changes (paper, Fig. 6).
+
+    ``coupled`` are a person's coupled.json, one per seed; the curves are the first seed's.
     """
-    records = [read_json(path, ("conditions", "measured", "free", "main_cap", "phantom")) for path in coupled]
+    records = _records(coupled)
     first = records[0]
     with matplotlib.rc_context(style.RC):
-        figure = style.new_figure(5.4, phantom=any(r["phantom"] for r in records), width_in=7.0)
-        grid = figure.add_gridspec(3, 3, height_ratios=(1, 1, 1.15))
-        for column, (joint, name) in enumerate(JOINTS.items()):
-            real, simulated = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+        figure = style.new_figure(6.4, phantom=any(r["phantom"] for r in records))
+        grid = figure.add_gridspec(4, 2, height_ratios=(1, 1, 1, 0.95))
+        top = None
+        for row, (joint, name) in enumerate(JOINTS.items()):
+            real = figure.add_subplot(grid[row, 0], sharex=top)
+            simulated = figure.add_subplot(grid[row, 1], sharex=real, sharey=real)
+            top = top or real
             for kind, colour in (("walk_normal", style.BLACK), ("walk_robot", style.BLUE)):
                 if kind in first["measured"]:
-                    _band(real, first["measured"][kind][joint], colour, kind.replace("_", " "))
+                    _band(real, first["measured"][kind][joint], colour, _WALKS[kind])
             _band(simulated, first["free"][joint], style.BLACK, "no robot")
             for condition in _main_conditions(first):
                 _band(simulated, condition["joints"][joint], CONDITIONS[condition["name"]], condition["name"])
             for axes in (real, simulated):
                 if not axes.lines:
                     style.say(axes, "no whole stride")
-            style.panel_letter(real, "abc"[column], f"{name}, measured")
-            style.panel_letter(simulated, "def"[column], f"{name}, simulated")
-            simulated.set_xlabel("gait cycle (%)")
-            if column == 0:
-                real.set_ylabel("angle (deg)")
-                simulated.set_ylabel("angle (deg)")
-                for axes in (real, simulated):
-                    if axes.get_legend_handles_labels()[0]:
-                        axes.legend()
-        _clouds(figure.add_subplot(grid[2, :2]), first)
-        _changes(figure.add_subplot(grid[2, 2]), records)
+                elif row == 0:
+                    # above the curves, where there is room for it
+                    axes.set_ylim(top=axes.get_ylim()[1] + 18)
+                    axes.legend(ncols=2, columnspacing=0.8, loc="upper center")
+                if row == len(JOINTS) - 1:
+                    axes.set_xlabel("gait cycle (%)")
+            style.panel_letter(real, "ace"[row], f"{name}, measured")
+            style.panel_letter(simulated, "bdf"[row], f"{name}, simulated")
+            real.set_ylabel("angle (deg)")
+        _changes(figure.add_subplot(grid[3, :]), records)
+        style.save(figure, out)
+
+
+def interface_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Where the interface midpoint goes relative to the pelvis, from above, with 95 % ellipses (paper, Fig. 5).
+
+    ``coupled`` are a person's coupled.json, one per seed; the clouds are the first seed's.
+    """
+    records = _records(coupled)
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(3.6, phantom=any(r["phantom"] for r in records))
+        _clouds(figure.add_subplot(), records[0])
         style.save(figure, out)
 
 
@@ -94,12 +115,13 @@ def _clouds(axes: Axes, record: dict[str, Any]) -> None:
     reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", dashed=True)]
     for condition in _main_conditions(record):
         reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[condition["name"]], condition["name"]))
-    limit = 1.1 * max([*reach, 1.0])
+    limit = 1.15 * max([*reach, 1.0])
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     axes.set_xlabel("forward (mm)")
     axes.set_ylabel("left (mm)")
-    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), title="95 % of the interface midpoint")
-    style.panel_letter(axes, "g")
+    axes.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, title="95 % of the interface midpoint"
+    )
 
 
 def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
@@ -125,5 +147,5 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.set_yticks(range(len(JOINTS)), list(JOINTS.values()))
     axes.invert_yaxis()
-    axes.set_xlabel("change of range of motion (deg)\npoint: seed, line: measured")
-    style.panel_letter(axes, "h")
+    axes.set_xlabel("change of range of motion by the robot (deg); point: seed, line: measured")
+    style.panel_letter(axes, "g")

@@ -14,6 +14,7 @@ from real2sim.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides
 from real2sim.twin.human import FEET
 
 CYCLE = 101  # samples of a normalised cycle, 0-100 %
+DRAWN = 300  # samples of a cloud that a figure shows, at most
 
 
 def cycles_of(recording: Recording, settle_s: float) -> dict[str, np.ndarray]:
@@ -74,7 +75,8 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
     """Spread of the interface midpoint relative to the pelvis over trials q (m, n, 6) [m, rad]; NaN where unknown.
 
     Low-passed, each trial about its own mean. ``sigma_mm`` x, y, z (mean over trials, SD), ``gamma`` = sigma_x /
-    sigma_y of the means, and the 95 % ellipse of the pooled x-y cloud (paper, section V-C.1).
+    sigma_y of the means, the 95 % ellipse of the pooled x-y cloud (paper, section V-C.1), and ``points_mm``, samples of
+    it evenly spaced in time, to draw.
     """
     centred, sigmas = [], []
     for trial in q:
@@ -87,7 +89,8 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
         return {"trials": 0}
     sigma = 1e3 * np.array(sigmas)
     mean = sigma.mean(axis=0)
-    values, vectors = np.linalg.eigh(np.cov(np.concatenate(centred)[:, :2].T))
+    pooled = np.concatenate(centred)[:, :2]
+    values, vectors = np.linalg.eigh(np.cov(pooled.T))
     axes = 1e3 * np.sqrt(values[::-1] * chi2.ppf(0.95, 2))
     return {
         "trials": len(sigmas),
@@ -99,6 +102,7 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
             "angle_deg": float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
             "area_mm2": float(np.pi * axes[0] * axes[1]),
         },
+        "points_mm": np.round(1e3 * pooled[:: -(-len(pooled) // DRAWN)], 2).tolist(),
     }
 
 

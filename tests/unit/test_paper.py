@@ -1,0 +1,258 @@
+"""The paper's tables and claims: what contradicts itself is said, what is found here is judged by its criterion."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real2sim.artefacts import number, read_table, write_table
+from real2sim.errors import InputError
+from real2sim.paper import claims as paper_claims
+from real2sim.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
+from real2sim.paper.latex import escaped, latex_table, macro_name, macros
+from real2sim.paper.tables import paper_figures
+from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_study, write_twin
+
+LIBRARY = Path(__file__).parents[2] / "workflow" / "real2sim"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    return folder, write_study(folder)
+
+
+def _judged(folder: Path, study: dict, out: Path, **changes) -> dict[str, dict[str, str]]:
+    given = claim_arguments(folder, study) | {
+        "out": out / "claims.csv",
+        "out_tex": out / "claims.tex",
+        "out_numbers": out / "numbers.tex",
+    }
+    claims(**given | changes)
+    return {row["claim"]: row for row in read_table(given["out"])}
+
+
+def _published(folder: Path, table: str, edit) -> list[Path]:
+    """The published tables with one of them changed."""
+    rows = read_table(PUBLISHED / f"{table}.csv")
+    edit(rows)
+    write_table(folder / f"{table}.csv", list(rows[0]), rows)
+    return [folder / f"{n}.csv" if n == table else PUBLISHED / f"{n}.csv" for n in CLAIM_TABLES]
+
+
+@pytest.fixture(scope="module")
+def table(study, tmp_path_factory):
+    twin = write_twin(tmp_path_factory.mktemp("twin"))
+    out = tmp_path_factory.mktemp("out")
+    return _judged(*study, out, gait=twin["gait"], interface=twin["interface"])
+
+
+def test_every_claim_is_judged_with_a_reason_where_it_fails(table):
+    assert list(table) == [row["claim"] for row in read_table(PUBLISHED / "claims.csv")]
+    for row in table.values():
+        assert row["verdict"]
+        assert row["criterion"]
+        if row["verdict"] in (INCONSISTENT, NOT_COMPUTED, PRIVATE):
+            assert row["reason"], row["claim"]
+
+
+def test_what_the_paper_contradicts_in_itself(table):
+    wrong = {name for name, row in table.items() if row["verdict"] == INCONSISTENT}
+    assert wrong == {
+        "tight_cluster",
+        "interval_in_bounds",
+        "interval_percentiles",
+        "damping_ratio",
+        "refine_tested",
+        "sigma_prior_best",
+        "compresses_all",
+        "bracketed_hip",
+    }
+    assert table["interval_in_bounds"]["reason"].startswith(
+        "k_ty" if False else "d_tx, k_tz, k_ry, d_rz"
+    ) or set(table["interval_in_bounds"]["reason"].split(":")[0].split(", ")) == {
+        "d_tx",
+        "k_tz",
+        "k_ry",
+        "d_rz",
+    }
+    assert "tx 3.2, rz 3.1" in table["damping_ratio"]["reason"]
+    assert table["tight_cluster"]["reason"].startswith("k_tz")
+    assert "ankle_angle rises from 16.9 to 19.6" in table["compresses_all"]["reason"]
+    assert {n for n, row in table.items() if row["verdict"] == CONSISTENT} == {
+        "overhead_arithmetic",
+        "gamma_arithmetic",
+        "changes_arithmetic",
+    }
+    assert not any(table[name]["phantom"] == "true" for name in wrong)
+
+
+@pytest.mark.parametrize(
+    ("claim", "name", "change", "verdict"),
+    [
+        ("interval_in_bounds", "bounds", {"upper": "1e6", "lower": "1e-6"}, CONSISTENT),
+        ("damping_ratio", "pelvis_inertia", {"value": "1000"}, CONSISTENT),
+        ("interval_percentiles", "table1_priors", {"interval_low": "0.31"}, CONSISTENT),
+        ("tight_cluster", "table1_priors", {"interval_low": "100", "interval_high": "200"}, CONSISTENT),
+        ("gamma_arithmetic", "table2_interface", {"gamma": "0.500"}, INCONSISTENT),
+        ("sigma_prior_best", "table2_interface", {"sigma_z_mm": "2.21"}, CONSISTENT),
+        ("compresses_all", "table3_gait", {"rom_deg": "10.0"}, CONSISTENT),
+        ("changes_arithmetic", "table3_gait", {"rom_deg": "10.0"}, INCONSISTENT),
+        ("bracketed_hip", "table3_gait", {"rom_sd_deg": "0.1"}, CONSISTENT),
+        ("overhead_arithmetic", "claims", {"published": "20"}, INCONSISTENT),
+    ],
+)
+def test_a_check_of_the_paper_can_turn_out_the_other_way(study, tmp_path, claim, name, change, verdict):
+    def edit(rows):
+        for row in rows:
+            if name != "claims" or row["claim"] == claim:
+                row |= change
+
+    published = _published(tmp_path, name, edit)
+    assert _judged(*study, tmp_path / "out", published=published)[claim]["verdict"] == verdict
+
+
+def test_a_cost_that_hangs_on_private_recordings_is_not_judged_on_the_phantom(table):
+    for name in ("J_within", "J_cross"):
+        assert table[name]["verdict"] in (PRIVATE, NOT_COMPUTED)
+    assert table["overhead_highest"]["verdict"] == "reproduced on the phantom" or number(
+        table["overhead_highest"]["here"]
+    ) > number(table["overhead_highest"]["published"])
+
+
+def test_real_people_are_judged_by_the_number_itself(tmp_path):
+    given = write_study(tmp_path, phantom=False)
+    costs = read_table(given["cross_trial"])
+    mean = next(r for r in costs if r["subject"] == "S01") | {"subject": "mean", "J_within_mean_1": "1.3"}
+    write_table(given["cross_trial"], list(costs[0]), [*costs, mean])
+    found = _judged(tmp_path, given, tmp_path / "out")
+    assert found["J_within"]["verdict"] == "reproduced"
+    assert found["J_cross"]["verdict"] == "not reproduced"
+    assert all(row["phantom"] == "false" for row in found.values())
+
+
+def test_gait_and_sway_are_judged_per_seed_at_the_compared_cap(study, table, tmp_path):
+    assert table["hip_change"]["verdict"] == "reproduced on the phantom"
+    assert number(table["hip_change"]["here"]) == -2
+    assert "own walks change by -6" in table["hip_change"]["reason"]
+    assert table["sway_order"]["verdict"] == "reproduced on the phantom"
+    assert number(table["gamma_prior"]["here"]) == pytest.approx(np.mean([3 / 6, 3 / 7, 3 / 8]))
+    assert "between 0.25 and 0.5" in table["gamma_value"]["reason"]
+    assert table["hip_r"]["verdict"] == "not reproduced on the phantom"
+    twin = write_twin(tmp_path / "twin")
+    rows = read_table(twin["gait"])
+    for row in rows:
+        if row["condition"] == "prior" and row["seed"] == "2":
+            row["rom_change_deg"] = "0.5"
+    write_table(twin["gait"], list(rows[0]), rows)
+    again = _judged(*study, tmp_path, gait=twin["gait"], interface=twin["interface"])
+    assert again["hip_change"]["verdict"] == "not reproduced on the phantom"
+
+
+def test_without_a_twin_or_enough_people_the_table_says_what_is_missing(tmp_path):
+    given = write_study(tmp_path, people=1)
+    found = _judged(tmp_path, given, tmp_path / "out")
+    assert found["n_common"]["verdict"] == NOT_COMPUTED
+    assert "needs at least" in found["n_common"]["reason"]
+    for name in ("hip_change", "gamma_prior", "dof", "cycles"):
+        assert found[name]["verdict"] == NOT_COMPUTED
+        assert "twin" in found[name]["reason"]
+
+
+def test_a_claim_without_a_judge_is_refused(study, tmp_path):
+    published = _published(tmp_path, "claims", lambda rows: rows.append(rows[0] | {"claim": "new"}))
+    with pytest.raises(InputError, match="new"):
+        _judged(*study, tmp_path / "out", published=published)
+
+
+def test_tables_hold_ours_beside_the_published_ones(study):
+    folder, given = study
+    sway = {row["condition"]: row for row in read_table(given["interface"])}
+    assert list(sway) == ["walk_robot", "soft", "prior", "stiff"]
+    assert number(sway["prior"]["sigma_y_mm"]) == 7
+    assert number(sway["prior"]["sigma_y_mm_seed_sd"]) == 1
+    assert sway["prior"]["published_gamma"] == "0.36"
+    gait = {(row["joint"], row["condition"]): row for row in read_table(given["gait"])}
+    assert number(gait["knee_angle", "prior"]["rom_deg"]) == 32
+    assert number(gait["knee_angle", "prior"]["rom_change_deg"]) == -2, "at the compared cap alone"
+    assert gait["knee_angle", "stiff"]["seeds"] == "0"
+    assert number(gait["knee_angle", "stiff"]["published_rom_deg"]) == 62.2
+    for name in ("table1_priors", "table2_interface", "table3_gait", "cross_trial", "claims"):
+        tex = (folder / "paper" / f"{name}.tex").read_text()
+        assert "No number here is the study's" in tex
+        body = tex[tex.index(r"\midrule") : tex.index(r"\bottomrule")]
+        columns = {line.count(" & ") for line in body.splitlines()[1:]}
+        assert len(columns) == 1, name
+        assert "nan" not in body
+    numbers = (folder / "paper" / "numbers.tex").read_text()
+    assert re.search(r"\\newcommand\{\\RtsNCommon\}\{\d+\}", numbers)
+    assert not re.search(r"\\Rts\w*\d", numbers), "TeX has no digits in names"
+
+
+def test_latex_of_awkward_text():
+    assert escaped("50 % of a_b & {c} ± 1") == r"50 \% of a\_b \& \{c\} $\pm$ 1"
+    assert macro_name("n_95th") == "NNineFiveth"
+    assert macros({"loso_J": 12.3456}, phantom=False).endswith("\\newcommand{\\RtsLosoJ}{12.3}\n")
+    tex = latex_table(["a", "b"], [["x", "1"]], caption="c", label="l", phantom=False)
+    assert r"\begin{tabular}{lr}" in tex
+    assert "phantom" not in tex.lower()
+
+
+def test_figures_are_the_same_bytes_under_their_number(tmp_path):
+    source = tmp_path / "a.png"
+    source.write_bytes(b"picture")
+    paper_figures(figures=[source], out=[tmp_path / "paper" / "figure3.png"])
+    assert (tmp_path / "paper" / "figure3.png").read_bytes() == b"picture"
+
+
+# Numbers that a page may hold in its own words: places in the paper, confidence, and what a method is called
+_ALLOWED = re.compile(
+    r"p\{0\.\d+\\linewidth\}|Fig\. \d|Table I+|eq\. \d|section [IVX]+-?[A-D]?(\.\d)?|95 %|ICC\(1,1\)|SHA-256"
+    r"|first 16"
+)
+
+
+def _printed(path: Path) -> list[str]:
+    """Words of a module that may end on a page: its strings, without docstrings, markup, styles and scripts."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    names = ("_STYLE", "_SCRIPT", "_COLOURS", "_RC", "RC", "_LIGHT", "_DARK")
+    hidden = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if any(isinstance(t, ast.Name) and t.id in names for t in targets):
+                hidden |= {id(child) for child in ast.walk(node)}
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            hidden.add(id(node.value))
+        if isinstance(node, ast.FormattedValue) and node.format_spec is not None:
+            hidden |= {id(child) for child in ast.walk(node.format_spec)}
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in hidden
+    ]
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["figures/report.py", "figures/suite.py", "figures/diagnosis.py", "paper/claims.py", "paper/tables.py"],
+)
+def test_no_number_on_a_page_is_typed_by_hand(module):
+    typed = []
+    for text in _printed(LIBRARY / module):
+        words = re.sub(r"<[^>]*>|[a-z_]+=\"[^\"]*\"|#[0-9a-fA-F]{3,6}|\\[a-z]+", " ", _ALLOWED.sub(" ", text))
+        typed += [
+            (text, n)
+            for n in re.findall(r"(?<![\w.-])\d+(?:\.\d+)?\s*(?:%|mm|deg|N|s|people|times)\b|\d+\.\d+", words)
+        ]
+    assert not typed
+
+
+def test_the_search_for_typed_numbers_finds_one(tmp_path):
+    module = tmp_path / "page.py"
+    module.write_text('"""Doc with 3.5."""\nX = f"the overhead is 14.5 % of {1:.3g}"\n')
+    assert _printed(module) == ["the overhead is 14.5 % of "]
+    assert paper_claims.JOINTS

@@ -10,6 +10,7 @@ One job per person, not per trial: starting Python costs more than reading a tri
 for _name, _person in PEOPLE.items():
 
     rule:
+        """All recordings of one person as canonical tables."""
         name:
             f"ingest_{_name}"
         input:

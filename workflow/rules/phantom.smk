@@ -9,6 +9,7 @@ if PHANTOM is not None:
     for _name in PEOPLE:
 
         rule:
+            """One synthetic person as raw exports, and the sealed truth."""
             name:
                 f"phantom_{_name}"
             input:

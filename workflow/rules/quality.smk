@@ -24,6 +24,7 @@ rule quality:
 for _name, _person in PEOPLE.items():
 
     rule:
+        """Verdict of every gate on each recording of one person."""
         name:
             f"gates_{_name}"
         input:

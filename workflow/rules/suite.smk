@@ -20,6 +20,7 @@ if SUITE and _ASKED and workflow.is_main_process:
 for _shard in SUITE_SHARDS:
 
     rule:
+        """Raw exports of some people whose gap has a known cause, and the sealed truth."""
         name:
             f"suite_cases_{_shard}"
         input:
@@ -54,6 +55,7 @@ for _shard in SUITE_SHARDS:
             " --out {params.folder:q} --truth {output.truth:q} 2>&1 | tee {log:q}"
 
     rule:
+        """Answers to some cases, without a look at the truth."""
         name:
             f"suite_diagnose_{_shard}"
         input:

@@ -1,7 +1,7 @@
 """Figures are written, the same bytes for the same data."""
 
 import pytest
-from real2sim.artefacts import number, read_table, write_json
+from real2sim.artefacts import number, read_json, read_table, write_json
 from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
 from real2sim.figures.style import PHANTOM_LABEL, new_figure, signed
 from real2sim.figures.tables import cross_trial_table, priors_table
@@ -40,6 +40,23 @@ def test_figures_of_the_fits_are_written_and_deterministic(tmp_path, people):
         runs.append([path.read_bytes() for paths in out.values() for path in paths])
     assert runs[0] == runs[1]
     assert all(b"CreationDate" not in content for content in runs[0])
+
+
+def test_of_many_people_a_figure_shows_a_few_or_all_as_one_cloud(tmp_path, monkeypatch):
+    monkeypatch.setattr("real2sim.figures.style.NAMED_PEOPLE", 3)
+    fits, tables = _results(tmp_path, 5)
+    apart = read_json(fits[-1])
+    write_json(fits[-1], apart | {"cost": apart["cost"] | {"J": 10 * apart["cost"]["J"]}})
+    out = [tmp_path / "figure.svg"]
+    convergence_figure(fits=fits, floors=[], out=out)
+    text = out[0].read_text()
+    assert "3 of 5 people" in text
+    assert apart["subject"] in text, "whose restarts end farthest apart"
+    assert sum(f"S{i:02d}, dynamic_1" in text for i in range(1, 6)) == 3
+    icc_figure(fits=tables["fits"], icc=tables["icc"], out=out)
+    assert "S01" not in out[0].read_text()
+    loso_figure(loso=tables["loso"], out=out)
+    assert "of 5 people" in out[0].read_text()
 
 
 def test_tightness_figure_is_written(tmp_path):

@@ -108,6 +108,23 @@ def test_a_section_stands_where_what_it_tells_of_exists(tmp_path):
     assert "Diagnosis" not in content
 
 
+def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeypatch):
+    path, given = report
+    monkeypatch.setattr("real2sim.figures.report.MANY_PEOPLE", 2)
+    monkeypatch.setattr("real2sim.figures.report.MANY_FILES", 2)
+    out = tmp_path / "report.html"
+    diagnoses = [path.with_name("diagnosis.json")] * 3
+    report_page(**given, title="Many", out=out, diagnoses=diagnoses)
+    page, content = _parsed(out)
+    assert page.open == []
+    assert page.text.count("5 people, one by one") == 5
+    assert "The verdicts on 4 people one by one stand in the table below" in page.text
+    assert "Parameters of S01" not in page.text
+    assert "Diagnoses of 3 people" in page.text
+    assert "each fit file names its own" in page.text
+    assert len(content) < len(path.read_text(encoding="utf-8"))
+
+
 @pytest.mark.parametrize("phantom", [True, False])
 def test_page_says_that_the_data_are_synthetic_only_where_they_are(tmp_path, phantom):
     page, _ = _parsed(_report(tmp_path, phantom=phantom, diagnosed=False)[0])

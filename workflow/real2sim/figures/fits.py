@@ -42,21 +42,38 @@ def _convergence_panel(axes: Axes, fits: list[dict[str, Any]], floor: float | No
     axes.text(0.97, 0.95, text, transform=axes.transAxes, ha="right", va="top", fontsize=7)
 
 
+def _least_agreeing(fits: list[dict[str, Any]]) -> list[str]:
+    """At most `style.NAMED_PEOPLE` people, in order; where there are more, those whose restarts end farthest apart."""
+    costs: dict[str, dict[str, list[float]]] = {}
+    for fit in fits:
+        costs.setdefault(fit["subject"], {}).setdefault(fit["trial"], []).append(fit["cost"]["J"])
+    apart = {name: max(max(v) / min(v) for v in trials.values()) for name, trials in costs.items()}
+    return sorted(sorted(apart, key=lambda name: (-apart[name], name))[: style.NAMED_PEOPLE])
+
+
 def convergence_figure(*, fits: list[Path], floors: list[Path], out: list[Path]) -> None:
     """Draw cost J against evaluations, a row per person and a column per trial.
 
-    Restarts are grey, the best one of each trial is blue (paper, Fig. 4 top); dashed, the person's noise floor of J.
+    Restarts are grey, the best one of each trial is blue (paper, Fig. 4 top); dashed, the person's noise floor of J. Of
+    more people than a page holds, those are shown whose restarts end farthest apart.
     """
     floor = {
         record["subject"]: record["J"] for record in (read_json(path, ("subject", "J")) for path in floors)
     }
     records = [read_json(p, ("subject", "trial", "restart", "history", "cost", "phantom")) for p in fits]
-    people = sorted({fit["subject"] for fit in records})
+    everyone = {fit["subject"] for fit in records}
+    people = _least_agreeing(records)
+    note = f"{len(people)} of {len(everyone)} people:\nwhose restarts agree least"
+    records = [fit for fit in records if fit["subject"] in people]
+    floor = {name: value for name, value in floor.items() if name in people}
     trials = sorted({fit["trial"] for fit in records})
     with matplotlib.rc_context(style.RC):
         height = 0.8 + 0.85 * max(len(people), 1)
         figure = style.new_figure(
-            height, phantom=any(fit["phantom"] for fit in records), overridden=overridden_gates(records)
+            height,
+            phantom=any(fit["phantom"] for fit in records),
+            overridden=overridden_gates(records),
+            note=note if len(people) < len(everyone) else "",
         )
         shape = max(len(people), 1), max(len(trials), 1)
         panels = figure.subplots(*shape, sharex=True, sharey=True, squeeze=False)
@@ -110,8 +127,9 @@ def _icc_panel(axes: Axes, rows: list[dict[str, str]]) -> None:
 
 
 def _distribution_panel(axes: Axes, rows: list[dict[str, str]], classes: dict[str, str]) -> None:
-    """Each fit's parameter over the geometric mean of all; a person's fits share a colour and a line."""
+    """Each fit's parameter over the geometric mean of all; a person's fits share a line, and a colour if few do."""
     subjects = sorted({row["subject"] for row in rows})
+    many = len(subjects) > style.NAMED_PEOPLE
     for place, name in enumerate(PARAMETERS):
         values = np.array([number(row[parameter_column(name)]) for row in rows])
         ratio = values / np.exp(np.log(values).mean())
@@ -125,8 +143,13 @@ def _distribution_panel(axes: Axes, rows: list[dict[str, str]], classes: dict[st
         for index, subject in enumerate(subjects):
             own = ratio[[row["subject"] == subject for row in rows]]
             y = np.full(len(own), place + (index - (len(subjects) - 1) / 2) * 0.8 / max(len(subjects), 2))
-            look = style.person_style(index) | {"markersize": 2.0, "linewidth": 0.5}
-            axes.plot(np.sort(own), y, label=subject if place == 0 else None, **look)
+            look = (
+                style.CLOUD
+                if many
+                else style.person_style(index)
+                | {"markersize": 2.0, "linewidth": 0.5, "label": subject if place == 0 else None}
+            )
+            axes.plot(np.sort(own), y, **look)
     axes.axvline(1.0, color=style.GREY, linewidth=0.5, zorder=0)
     axes.set_xscale("log")
     style.log_axis(axes.xaxis, *axes.get_xlim())
@@ -194,9 +217,26 @@ def loso_figure(*, loso: Path, out: list[Path]) -> None:
         axes = figure.subplots()
         if not drawn:
             style.say(axes, "leave-one-subject-out " + (rows[-1]["status"] if rows else "has no data"))
+        elif len(drawn) > style.NAMED_PEOPLE + 1:
+            _loso_shares(axes, [row for row in drawn if row["subject"] != "mean"])
         else:
             _loso_bars(axes, drawn)
         style.save(figure, out)
+
+
+def _loso_shares(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """Of many people, the share whose overhead is at most so much."""
+    for column, colour, label, dashed in (
+        ("overhead_J_percent", style.BLUE, r"cost $J$", "-"),
+        ("overhead_rmse_percent", style.VERMILION, "position RMSE", "--"),
+    ):
+        values = np.sort([number(row[column]) for row in rows])
+        share = np.arange(1, len(values) + 1) / len(values)
+        axes.plot(values, 100 * share, color=colour, linestyle=dashed, label=label)
+    axes.set_xlabel("overhead of the prior (%)")
+    axes.set_ylabel(f"of {len(rows)} people (%)")
+    axes.set_ylim(0, 100)
+    axes.legend()
 
 
 def _loso_bars(axes: Axes, rows: list[dict[str, str]]) -> None:

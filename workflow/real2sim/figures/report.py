@@ -24,6 +24,10 @@ from real2sim.quality.verdict import PASS, REFUSE, WARN, worst
 
 Row = dict[str, str]
 
+# Beyond so many people the page tells of all together; rows of single ones are folded away or left to the tables
+MANY_PEOPLE = 40
+# Beyond so many input files each fit file holds its own, and the page their number
+MANY_FILES = 400
 VERDICTS = ("determined", "weak", "not determined", "at bound")
 _MARKS = {
     "determined": "\N{CHECK MARK}",
@@ -273,6 +277,19 @@ def _of(rows: Sequence[Row], **wanted: str) -> list[Row]:
     return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
 
 
+def _by_subject(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    out: dict[str, list[Row]] = {}
+    for row in rows:
+        out.setdefault(row["subject"], []).append(row)
+    return out
+
+
+def _one_by_one(study: Study, markup: str) -> str:
+    """A table with a row per person, folded away where there are many."""
+    people = len(study.people)
+    return _folded(f"{people} people, one by one", markup) if people > MANY_PEOPLE else markup
+
+
 def _person(rows: Sequence[Row], name: str) -> Row | None:
     return next((row for row in rows if row["subject"] == name), None)
 
@@ -312,6 +329,15 @@ def _trials(study: Study) -> dict[tuple[str, str], str]:
     return {key: worst(verdicts) for key, verdicts in found.items()}
 
 
+def _verdicts_of_people(study: Study) -> dict[str, Counter[str]]:
+    """How many trials of each person pass, are warned about, are refused."""
+    counts: dict[str, Counter[str]] = {name: Counter() for name in study.people}
+    for (person, _), verdict in _trials(study).items():
+        if person in counts:
+            counts[person][verdict] += 1
+    return counts
+
+
 def _over_floor(study: Study, name: str) -> float | None:
     row = _person(study.cross_trial, name)
     if row is None or not row["J_within_mean_1"] or not row["J_floor_1"]:
@@ -341,13 +367,14 @@ def _lead(study: Study) -> str:
 
 
 def _cohort(study: Study) -> str:
-    gates, points = _trials(study), {b["subject"]: b["operating_point"] for b in study.breakpoints}
+    gates, values = _verdicts_of_people(study), _by_subject(study.identifiability)
+    points = {b["subject"]: b["operating_point"] for b in study.breakpoints}
     diagnosed = {d["subject"]: d for d in study.diagnoses}
     rows = []
     for name, kind in study.people.items():
-        own = Counter(verdict for (person, _), verdict in gates.items() if person == name)
+        own = gates[name]
         cross, loso = _person(study.cross_trial, name), _person(study.loso, name)
-        verdicts = Counter(row["verdict"] for row in _of(study.identifiability, subject=name))
+        verdicts = Counter(row["verdict"] for row in values.get(name, []))
         grave = worst(own)
         row = [
             escape(name),
@@ -381,13 +408,9 @@ def _cohort(study: Study) -> str:
         "alone costs; determined: values that their trial determines; LOSO overhead: what the prior of the "
         "others costs, in J."
     )
-    return section(
-        "cohort",
-        "The cohort",
-        table(
-            head + (["Diagnosis"] if study.diagnoses else []), rows, caption=caption, numeric=(2, 4, 5, 6, 8)
-        ),
-    )
+    head += ["Diagnosis"] if study.diagnoses else []
+    markup = table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))
+    return section("cohort", "The cohort", _one_by_one(study, markup))
 
 
 def _words(name: str) -> str:
@@ -395,20 +418,18 @@ def _words(name: str) -> str:
 
 
 def _gates(study: Study) -> str:
-    trials = _trials(study)
-    counts = {
-        name: Counter(v for (person, _), v in trials.items() if person == name) for name in study.people
-    }
+    counts = _verdicts_of_people(study)
     rows = [
         [escape(name), *(str(counts[name][verdict]) for verdict in (PASS, WARN, REFUSE))]
         for name in study.people
     ]
-    summary = table(
+    markup = table(
         ["Person", "Pass", "Warn", "Refuse"],
         rows,
         caption="Trials by the gravest verdict of their gates, before anything is fitted",
         numeric=(1, 2, 3),
     )
+    summary = _one_by_one(study, markup)
     found = [row for row in study.quality if row["verdict"] != PASS]
     listed = [
         [
@@ -480,7 +501,7 @@ def _tightness(study: Study) -> str:
     return section(
         "tightness",
         "Tightness and operating point",
-        f'<div class="grid">{_figure(study, "tightness")}<div>{regressions}{chosen}</div></div>',
+        f'<div class="grid">{_figure(study, "tightness")}<div>{regressions}{_one_by_one(study, chosen)}</div></div>',
     )
 
 
@@ -508,15 +529,18 @@ def _identification(study: Study) -> str:
         "parameters on the person's other trial. Paper: section V-B.1, and its figures in the last row.",
         numeric=(1, 2, 3, 4, 5),
     )
-    people = list(dict.fromkeys(row["subject"] for row in study.identifiability))
+    people = _by_subject(study.identifiability)
     own = "\n".join(
-        _folded(f"{name}: {_counted(study, name)}", _parameters(study, name), open_=i == 0)
-        for i, name in enumerate(people)
+        _folded(f"{name}: {_counted(mine)}", _parameters(name, mine), open_=i == 0)
+        for i, (name, mine) in enumerate(people.items())
     )
+    if len(people) > MANY_PEOPLE:
+        own = paragraph(f"The verdicts on {len(people)} people one by one stand in the table below.")
     return section(
         "identification",
         "Identification",
-        f'<div class="grid">{_figure(study, "convergence")}<div>{costs}{_file(study, "cross_trial")}</div></div>',
+        f'<div class="grid">{_figure(study, "convergence")}<div>{_one_by_one(study, costs)}'
+        f"{_file(study, 'cross_trial')}</div></div>",
         "<h3>What each trial determines</h3>",
         paragraph(
             "A value that is not called determined is not a result. The interval of 95 % takes the "
@@ -529,8 +553,8 @@ def _identification(study: Study) -> str:
     )
 
 
-def _counted(study: Study, name: str) -> str:
-    counts = Counter(row["verdict"] for row in _of(study.identifiability, subject=name))
+def _counted(rows: Sequence[Row]) -> str:
+    counts = Counter(row["verdict"] for row in rows)
     return ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
 
 
@@ -552,8 +576,7 @@ def _per_parameter(study: Study) -> str:
     )
 
 
-def _parameters(study: Study, name: str) -> str:
-    mine = _of(study.identifiability, subject=name)
+def _parameters(name: str, mine: Sequence[Row]) -> str:
     trials = list(dict.fromkeys(row["trial"] for row in mine))
     rows = []
     for parameter in PARAMETERS:
@@ -634,7 +657,7 @@ def _priors(study: Study) -> str:
         "What people share, and priors",
         f'<div class="grid">{_figure(study, "icc")}{_figure(study, "loso")}</div>',
         priors,
-        loso,
+        _one_by_one(study, loso),
         _file(study, "icc", "priors", "loso"),
     )
 
@@ -644,8 +667,21 @@ def _diagnoses(study: Study) -> str:
         return ""
     people = "\n".join(
         _folded(f"{d['subject']}: {_words(d['verdict'])}", digest(d), open_=i == 0)
-        for i, d in enumerate(study.diagnoses)
+        for i, d in enumerate(study.diagnoses[:MANY_PEOPLE])
     )
+    if len(study.diagnoses) > MANY_PEOPLE:
+        counts = Counter(_words(d["verdict"]) for d in study.diagnoses).most_common()
+        rows = [[escape(verdict), str(n)] for verdict, n in counts]
+        people = (
+            table(
+                ["Verdict", "People"],
+                rows,
+                caption=f"Diagnoses of {len(study.diagnoses)} people",
+                numeric=(1,),
+            )
+            + paragraph(f"The first {MANY_PEOPLE} of them:")
+            + people
+        )
     return section(
         "diagnosis",
         "Why simulation and measurement differ",
@@ -807,12 +843,18 @@ def _provenance(study: Study) -> str:
     rows = [
         [f"<code>{escape(path)}</code>", f"<code>{digest_[:16]}</code>"]
         for path, digest_ in sorted(inputs.items())
+        if len(inputs) <= MANY_FILES
     ]
     files = table(["File", "SHA-256 (first 16)"], rows, caption="Files that the fits rest on") if rows else ""
     return (
         '<footer>\n<h2 id="provenance">Provenance</h2>\n'
         + "\n".join(paragraph(text) for text in facts if study.fits)
         + (_folded(f"{len(rows)} input files", files) if files else "")
+        + (
+            paragraph(f"{len(inputs)} input files; each fit file names its own.")
+            if len(inputs) > MANY_FILES
+            else ""
+        )
         + "\n</footer>"
     )
 

@@ -18,6 +18,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from real2sim.files import replacing
 
 COLUMN_WIDTH_IN = 3.5
+# A figure tells so many people apart; more are drawn as one cloud, or chosen from
+NAMED_PEOPLE = 12
 PNG_DPI = 200
 PHANTOM_LABEL = "phantom cohort (synthetic)"
 
@@ -26,6 +28,15 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 GREY = "#8C8C8C"
 PERSON_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+# one of many people
+CLOUD: Any = {
+    "color": BLUE,
+    "marker": ".",
+    "markersize": 1.5,
+    "markeredgewidth": 0,
+    "linewidth": 0.3,
+    "alpha": 0.3,
+}
 PERSON_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 CLASS_COLOURS = {"common": GREEN, "uncertain": ORANGE, "distinct": PURPLE}
 
@@ -59,14 +70,21 @@ SVG_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def new_figure(
-    height_in: float, *, phantom: bool, width_in: float = COLUMN_WIDTH_IN, overridden: Iterable[str] = ()
+    height_in: float,
+    *,
+    phantom: bool,
+    width_in: float = COLUMN_WIDTH_IN,
+    overridden: Iterable[str] = (),
+    note: str = "",
 ) -> Figure:
     """A figure at print size, labelled above its panels where its data are the phantom's.
 
-    ``overridden`` are trials that it rests on although a gate refuses them: named there too.
+    ``overridden`` are trials that it rests on although a gate refuses them: named there too. ``note`` says what else
+    has to be known, as that not everybody is shown.
     """
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     labels = [PHANTOM_LABEL] if phantom else []
+    labels += [note] if note else []
     named = sorted(set(overridden))
     if named:
         more = f" and {len(named) - 2} more" if len(named) > 2 else ""

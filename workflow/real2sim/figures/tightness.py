@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +21,34 @@ def _series(rows: list[dict[str, str]], column: str) -> tuple[np.ndarray, np.nda
     return x, np.array([number(r[column]) for r in rows])
 
 
+def _looks(tables: Sized) -> list[dict[str, Any]]:
+    """How each person is drawn: told apart, or as one of many."""
+    if len(tables) > style.NAMED_PEOPLE:
+        return [style.CLOUD] * len(tables)
+    return [style.person_style(index) for index in range(len(tables))]
+
+
 def _selected(axes: Axes) -> None:
     axes.axvline(0.0, color=style.BLACK, linewidth=0.8, linestyle=(0, (4, 2)), zorder=0)
 
 
 def _range_panel(axes: Axes, tables: dict[str, list[dict[str, str]]], column: str) -> None:
-    for index, (subject, rows) in enumerate(tables.items()):
-        axes.plot(*_series(rows, column), label=subject, linewidth=0.8, **style.person_style(index))
+    for look, (subject, rows) in zip(_looks(tables), tables.items(), strict=True):
+        axes.plot(*_series(rows, column), label=subject, **({"linewidth": 0.8} | look))
     _selected(axes)
     axes.set_xlabel(r"$\tilde{T}$ (1)")
     axes.set_ylim(bottom=0)
 
 
 def _rotation_panel(axes: Axes, tables: dict[str, list[dict[str, str]]], pooled: dict[str, Any]) -> None:
-    for index, (subject, rows) in enumerate(tables.items()):
-        look = style.person_style(index)
+    for look, (subject, rows) in zip(_looks(tables), tables.items(), strict=True):
         for side, filled in (("left", True), ("right", False)):
             axes.plot(
                 *_series(rows, f"dphi_{side}_deg"),
+                **({"markeredgewidth": 0.7} | look),
                 linestyle="none",
                 label=subject if filled else None,
                 fillstyle="full" if filled else "none",
-                markeredgewidth=0.7,
-                **look,
             )
     _selected(axes)
     axes.set_xlabel(X_LABEL)
@@ -94,6 +100,8 @@ def tightness_figure(*, sweeps: list[Path], cohort: Path, out: list[Path]) -> No
         _rotation_panel(axes, tables, pooled["pooled"].get("dphi", {}))
         style.panel_letter(axes, "c")
         handles, labels = axes.get_legend_handles_labels()
+        if len(tables) > style.NAMED_PEOPLE:
+            handles, labels = handles[:1], [f"each of {len(tables)} people"]
         figure.legend(
             handles,
             labels,

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -29,13 +30,37 @@ def test_ci_runs_the_readmes_test_command():
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", "config/README.md", "docs/decisions.md", "docs/troubleshooting.md"]
+    "page",
+    ["README.md", "config/README.md", "docs/assumptions.md", "docs/decisions.md", "docs/troubleshooting.md"],
 )
 def test_links_of_a_page_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text):
         if "://" not in target:
             assert (ROOT / page).parent.joinpath(target).exists(), f"{page} links to {target}"
+
+
+def _keys(schema: dict, place: str = "") -> dict[str, str]:
+    """Every key of a schema by its path, with its description."""
+    out = {}
+    for key, sub in schema.get("properties", {}).items():
+        out[f"{place}{key}"] = sub.get("description", "")
+        out |= _keys(sub, f"{place}{key}.")
+    return out
+
+
+def test_every_assumption_is_explained_by_a_key_that_exists():
+    keys = _keys(
+        yaml.safe_load((ROOT / "workflow" / "schemas" / "config.schema.yaml").read_text(encoding="utf-8"))
+    )
+    page = (ROOT / "docs" / "assumptions.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z]+(?:\.[a-zA-Z_0-9]+)+)`", page)) - {"config.yaml"}
+    assert len(named) > 30
+    assert not sorted(named - keys.keys()), "keys that do not exist"
+    assumed = {key for key, words in keys.items() if "assumed" in words.lower()}
+    explained = {key for key in assumed if any(key == n or key.startswith(f"{n}.") for n in named)}
+    # the robot's two groups stand under their own names
+    assert assumed - explained <= {"robot"}, sorted(assumed - explained)
 
 
 def test_no_registry_host_is_named():

@@ -83,6 +83,34 @@ rule icc_figure:
         "python -m real2sim icc-figure --fits {input.fits:q} --icc {input.icc:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
+rule coverage_figure:
+    """What the intervals of an ICC cover, and how many people a class needs."""
+    input:
+        coverage="results/shareability/coverage.csv",
+        power="results/shareability/power.csv",
+    output:
+        multiext("results/figures/coverage", ".pdf", ".svg"),
+        report(
+            "results/figures/coverage.png",
+            caption="../report/coverage.rst",
+            category="Shared between people",
+        ),
+    log:
+        "logs/figures/coverage_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/coverage_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("coverage-figure"),
+    shell:
+        "python -m real2sim coverage-figure --coverage {input.coverage:q} --power {input.power:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
 rule loso_figure:
     """LOSO overhead per person (paper, Fig. 4 bottom)."""
     input:

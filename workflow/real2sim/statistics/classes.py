@@ -1,0 +1,137 @@
+"""Which parameters people share, as far as it can be told: classes of three intervals beside what was determined."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from real2sim.artefacts import number, read_table, write_table
+from real2sim.identification.parameters import PARAMETERS, unit
+
+SHARED, OWN, UNTOLD = "shared", "person's own", "cannot be told"
+FLAT = "shared only because it is not determined"
+BOUND = "shared only because it sits on its bound"
+# verdicts of the assessment and their columns
+VERDICTS = {
+    "determined": "share_determined",
+    "weak": "share_weak",
+    "not determined": "share_not_determined",
+    "at bound": "share_at_bound",
+}
+CLASS_COLUMNS = (
+    "parameter",
+    "unit",
+    "status",
+    "verdict",
+    "reason",
+    "class",
+    "class_by_exact_interval",
+    "class_by_nested_interval",
+    *VERDICTS.values(),
+    "share_of_fits_at_bound",
+    "n_subjects",
+    "n_trials",
+    "overridden",
+    "phantom",
+)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def verdict(
+    *, paper: str, exact: str, nested: str, shares: dict[str, float], fits_at_bound: float, interval: str
+) -> tuple[str, str]:
+    """Verdict on one parameter, and why.
+
+    Parameters
+    ----------
+    paper, exact, nested
+        Its class by the cluster bootstrap over fits (the paper's), the exact F interval over fits, and the exact F
+        interval over trials: common, distinct or uncertain.
+    shares
+        Share of trials by verdict of the assessment (keys of VERDICTS).
+    fits_at_bound
+        Share of all fits that end on a bound.
+    interval
+        The interval over trials as text, for the reason.
+
+    The first rule that applies decides:
+
+    1. more than half of the trials, or of the fits, at a bound: "shared only because it sits on its bound" where any
+       of the three classes is common, else "cannot be told": a bound is no measurement of anybody;
+    2. at most half of the trials determined and any class common: "shared only because it is not determined", since
+       scatter of what the data leave open lowers an ICC as agreement does (unless the trials say distinct);
+    3. more than half of the trials not determined: "cannot be told", whatever the classes;
+    4. the class by trials, which alone counts independent repeats: common is "shared", distinct "person's own";
+    5. else "cannot be told".
+    """
+    sure, bound = shares["determined"], max(shares["at bound"], fits_at_bound)
+    common = "common" in (paper, exact, nested)
+    if bound > 0.5:
+        where = (
+            f"at a bound in {_percent(shares['at bound'])} of trials and {_percent(fits_at_bound)} of fits"
+        )
+        return (BOUND, where) if common else (UNTOLD, where)
+    if sure <= 0.5 and common and nested != "distinct":
+        return FLAT, f"determined in only {_percent(sure)} of trials: scatter lowers the ICC"
+    if shares["not determined"] > 0.5:
+        return UNTOLD, f"not determined in {_percent(shares['not determined'])} of trials"
+    if nested == "common":
+        return SHARED, f"ICC of trials {interval}, determined in {_percent(sure)} of trials"
+    if nested == "distinct":
+        return OWN, f"ICC of trials {interval}, determined in {_percent(sure)} of trials"
+    claimed = {"paper's interval": paper, "exact interval": exact}
+    said = [f"the {name} says {what}" for name, what in claimed.items() if what != "uncertain"]
+    but = f"; {' and '.join(said)}, but counts restarts as people's repeats" if said else ""
+    return UNTOLD, f"ICC of trials {interval}: more people or trials are needed{but}"
+
+
+def _shares(rows: list[dict[str, str]]) -> dict[str, float]:
+    return {what: sum(row["verdict"] == what for row in rows) / len(rows) for what in VERDICTS}
+
+
+def classes(*, icc: Path, nested: Path, identifiability: Path, out: Path) -> None:
+    """One row per parameter: its class by three intervals, how often it was determined, and a verdict with its reason.
+
+    ``icc`` is the table of `shareability`, ``nested`` of `nested_variance`, ``identifiability`` of
+    `assessment_table`. The rule is that of `verdict`; where one of the classes is missing, the verdict is
+    "cannot be told" and the reason what is missing.
+    """
+    by_fits = {row["parameter"]: row for row in read_table(icc, ("parameter", "class", "share_at_bound"))}
+    by_trials = {row["parameter"]: row for row in read_table(nested, ("parameter", "class", "trials_low"))}
+    told = read_table(identifiability, ("subject", "trial", "parameter", "verdict"))
+    rows: list[dict[str, Any]] = []
+    for name in PARAMETERS:
+        fits, trials = by_fits[name], by_trials[name]
+        own = [row for row in told if row["parameter"] == name]
+        shares = _shares(own) if own else {}
+        row: dict[str, Any] = {
+            "parameter": name,
+            "unit": unit(name),
+            "class": fits["class"],
+            "class_by_exact_interval": fits["class_by_exact_interval"],
+            "class_by_nested_interval": trials["class"],
+            "share_of_fits_at_bound": fits["share_at_bound"],
+            "n_trials": len(own),
+            **{VERDICTS[what]: share for what, share in shares.items()},
+            **{key: fits[key] for key in ("n_subjects", "overridden", "phantom")},
+        }
+        missing = [each["status"] for each in (fits, trials) if not each["class"]]
+        if missing or not own:
+            why = missing[0] if missing else "no trial has been assessed"
+            row |= {"status": why, "verdict": UNTOLD, "reason": why}
+        else:
+            low, high = number(trials["trials_low"]), number(trials["trials_high"])
+            said = verdict(
+                paper=fits["class"],
+                exact=fits["class_by_exact_interval"],
+                nested=trials["class"],
+                shares=shares,
+                fits_at_bound=number(fits["share_at_bound"]),
+                interval=f"{low:.2f} to {high:.2f}",
+            )
+            row |= {"status": "ok", "verdict": said[0], "reason": said[1]}
+        rows.append(row)
+    write_table(out, CLASS_COLUMNS, rows)

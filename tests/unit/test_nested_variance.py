@@ -5,7 +5,18 @@ import pytest
 from real2sim.artefacts import number, read_table, write_table
 from real2sim.identification.parameters import PARAMETERS
 from real2sim.statistics import icc, nested
-from real2sim.statistics.classes import BOUND, CLASS_COLUMNS, FLAT, OWN, SHARED, UNTOLD, classes, verdict
+from real2sim.statistics.classes import (
+    BOUND,
+    CLASS_COLUMNS,
+    FLAT,
+    OWN,
+    SEARCH,
+    SHARED,
+    UNTOLD,
+    Evidence,
+    classes,
+    verdict,
+)
 from real2sim.statistics.shareability import shareability
 from synthetic_results import write_fits
 from test_statistics import SETTINGS
@@ -141,31 +152,43 @@ UNSURE = {"determined": 0.3, "weak": 0.7, "not determined": 0.0, "at bound": 0.0
 C, D, U = "common", "distinct", "uncertain"
 
 
+TIGHT, LOOSE = (0.3, 0.05, 0.02), (0.3, 0.05, 0.4)
+
+
 @pytest.mark.parametrize(
-    ("paper", "exact", "trials", "shares", "at_bound", "expected"),
+    ("paper", "exact", "trials", "shares", "at_bound", "sd", "expected"),
     [
-        (C, C, C, SURE, 0.0, SHARED),
-        (C, U, U, SURE, 0.0, UNTOLD),
-        (D, D, D, SURE, 0.0, OWN),
-        (U, D, D, UNSURE, 0.0, OWN),
-        (C, C, C, OPEN, 0.0, FLAT),
-        (C, U, U, UNSURE, 0.0, FLAT),
-        (U, U, U, OPEN, 0.0, UNTOLD),
-        (D, D, D, OPEN, 0.0, UNTOLD),
-        (C, C, C, STUCK, 0.0, BOUND),
-        (C, U, U, SURE, 0.6, BOUND),
-        (D, D, D, STUCK, 0.9, UNTOLD),
+        (C, C, C, SURE, 0.0, TIGHT, SHARED),
+        (C, C, C, SURE, 0.0, LOOSE, SEARCH),
+        (C, U, U, SURE, 0.0, LOOSE, SEARCH),
+        (C, U, U, SURE, 0.0, TIGHT, UNTOLD),
+        (C, C, C, SURE, 0.0, (0.3, 0.5, 0.4), SHARED),
+        (C, C, C, SURE, 0.0, (0.3, 0.01, 0.05), SHARED),
+        (C, C, C, SURE, 0.0, (0.3, 0.1, np.nan), SHARED),
+        (U, U, U, SURE, 0.0, LOOSE, UNTOLD),
+        (C, D, D, SURE, 0.0, LOOSE, OWN),
+        (D, D, D, SURE, 0.0, TIGHT, OWN),
+        (U, D, D, UNSURE, 0.0, TIGHT, OWN),
+        (C, C, C, OPEN, 0.0, TIGHT, FLAT),
+        (C, U, U, UNSURE, 0.0, TIGHT, FLAT),
+        (U, U, U, OPEN, 0.0, TIGHT, UNTOLD),
+        (D, D, D, OPEN, 0.0, TIGHT, UNTOLD),
+        (C, C, C, STUCK, 0.0, TIGHT, BOUND),
+        (C, U, U, SURE, 0.6, TIGHT, BOUND),
+        (D, D, D, STUCK, 0.9, TIGHT, UNTOLD),
     ],
 )
-def test_verdict_by_its_rules(paper, exact, trials, shares, at_bound, expected):
-    said, why = verdict(
+def test_verdict_by_its_rules(paper, exact, trials, shares, at_bound, sd, expected):
+    evidence = Evidence(
         paper=paper,
         exact=exact,
         nested=trials,
         shares=shares,
         fits_at_bound=at_bound,
+        sd=sd,
         interval="0.10 to 0.45",
     )
+    said, why = verdict(evidence)
     assert said == expected
     assert why
 

@@ -160,7 +160,7 @@ def classes(*, icc: Path, nested: Path, identifiability: Path, out: Path) -> Non
                     shares=shares,
                     fits_at_bound=number(fits["share_at_bound"]),
                     sd=(person, trial, restart),
-                    interval=f"{low:.2f} to {high:.2f}",
+                    interval=f"{low:.2f} to {high:.2f}" if low <= high else "without any variance",
                 )
             )
             row |= {"status": "ok", "verdict": said[0], "reason": said[1]}

@@ -124,7 +124,7 @@ def code(command):
     return fingerprint(module_of(command))
 
 
-# parts of a slice that one rule alone reads: to change them repeats nothing else
+# parts of a slice with one reader each, so that a change of them repeats nothing else
 PARTS = {"statistics": ("regression", "study")}
 
 

@@ -49,6 +49,7 @@ rule all:
         rules.paper_figures.output,
         rules.paper_tables.output,
         rules.claims.output,
+        SHARE_TABLES,
         "results/tightness/cohort.json",
         "results/quality/quality.csv",
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),

@@ -109,7 +109,11 @@ def miniature(folder: Path) -> Study:
     study.configure(
         identification={"restarts": 2, "evaluations": 44},
         tightness={"bootstrap": 100, "permutations": 100},
-        statistics={"bootstrap": 100, "min_subjects": 2},
+        statistics={
+            "bootstrap": 100,
+            "min_subjects": 2,
+            "study": {"draws": 20, "bootstrap": 50, "people": [5], "power_people": [5, 10]},
+        },
         twin={"cohort": "none"},
     )
     return study

@@ -14,7 +14,10 @@ from real2sim.identification.parameters import PARAMETERS, unit
 from real2sim.paper.claims import claims
 from real2sim.paper.tables import SIGMAS, paper_tables
 from real2sim.quality.stage import COLUMNS as QUALITY_COLUMNS
+from real2sim.statistics.anthropometrics import anthropometrics
+from real2sim.statistics.classes import classes
 from real2sim.statistics.loso import loso_table
+from real2sim.statistics.nested import nested_variance
 from real2sim.statistics.shareability import priors, shareability
 from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
 from real2sim.twin.gait import SAGITTAL as JOINTS
@@ -28,6 +31,7 @@ STATISTICS = {
     "common_below": 0.50,
     "distinct_from": 0.75,
     "min_subjects": 3,
+    "regression": {"predictors": ["mass_kg", "height_m", "waist_m"], "people_per_predictor": 10},
 }
 TIGHTNESS = {"bootstrap": 100, "permutations": 99, "seed": 1, "alpha": 0.05, "min_levels": 6}
 PUBLISHED = Path(__file__).parents[2] / "resources" / "published"
@@ -218,6 +222,16 @@ def write_study(
     loso_figure(loso=t["loso"], out=[figures["loso"]])
     convergence_figure(fits=fits, floors=[], out=[figures["convergence"]])
     cohort, breakpoints, tightness = _tightness(folder / "tightness", names)
+    verdicts = _verdicts(folder / "identifiability.csv", names, overridden)
+    t |= {name: folder / f"{name}.csv" for name in ("nested", "classes", "anthropometrics")}
+    nested_variance(fits=t["fits"], icc=t["icc"], settings=STATISTICS, out=t["nested"])
+    classes(icc=t["icc"], nested=t["nested"], identifiability=verdicts, out=t["classes"])
+    anthropometrics(
+        fits=t["fits"],
+        subjects=[folder / "tightness" / name / "subject.yaml" for name in names],
+        settings=STATISTICS,
+        out=t["anthropometrics"],
+    )
     study: dict[str, Any] = {
         "people": dict.fromkeys(names, "calibration") | {"S99": "validation"},
         "figures": [tightness, *figures.values()],
@@ -225,8 +239,10 @@ def write_study(
         "tightness": cohort,
         "breakpoints": breakpoints,
         "cross_trial": _cross_trial(folder / "cross_trial.csv", names),
-        "identifiability": _verdicts(folder / "identifiability.csv", names, overridden),
+        "identifiability": verdicts,
         "icc": t["icc"],
+        "classes": t["classes"],
+        "anthropometrics": t["anthropometrics"],
         "priors": shown,
         "loso": t["loso"],
         "fits": fits,

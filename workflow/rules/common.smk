@@ -124,11 +124,21 @@ def code(command):
     return fingerprint(module_of(command))
 
 
-def settings_of(*slices):
-    """The named slices of the configuration as JSON: one slice bare, several by name."""
-    if len(slices) == 1:
-        return json.dumps(STUDY[slices[0]])
-    return json.dumps({name: STUDY[name] for name in slices})
+# parts of a slice with one reader each, so that a change of them repeats nothing else
+PARTS = {"statistics": ("regression", "study")}
+
+
+def settings_of(*slices, part=None):
+    """The named slices of the configuration as JSON: one slice bare, several by name; without PARTS but the one named."""
+    chosen = {
+        name: (
+            {key: value for key, value in STUDY[name].items() if key == part or key not in PARTS[name]}
+            if name in PARTS
+            else STUDY[name]
+        )
+        for name in slices
+    }
+    return json.dumps(chosen if len(slices) > 1 else chosen[slices[0]])
 
 
 def canonical_tables(people=None):

@@ -5,7 +5,7 @@ Outputs: results/figures/*.{png,pdf,svg}, results/tables/*.csv, results/report.h
 Steps:   one rule per figure or table.
 """
 
-FIGURES = ["tightness", "convergence", "icc", "loso"]
+FIGURES = ["tightness", "convergence", "icc", "coverage", "loso"]
 
 
 rule tightness_figure:
@@ -81,6 +81,34 @@ rule icc_figure:
         code=code("icc-figure"),
     shell:
         "python -m real2sim icc-figure --fits {input.fits:q} --icc {input.icc:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule coverage_figure:
+    """What the intervals of an ICC cover, and how many people a class needs."""
+    input:
+        coverage="results/shareability/coverage.csv",
+        power="results/shareability/power.csv",
+    output:
+        multiext("results/figures/coverage", ".pdf", ".svg"),
+        report(
+            "results/figures/coverage.png",
+            caption="../report/coverage.rst",
+            category="Shared between people",
+        ),
+    log:
+        "logs/figures/coverage_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/coverage_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("coverage-figure"),
+    shell:
+        "python -m real2sim coverage-figure --coverage {input.coverage:q} --power {input.power:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule loso_figure:
@@ -202,7 +230,9 @@ rule report_page:
         cross_trial="results/tables/cross_trial.csv",
         identifiability="results/tables/identifiability.csv",
         icc="results/shareability/icc.csv",
+        classes="results/shareability/classes.csv",
         priors="results/tables/priors.csv",
+        anthropometrics="results/priors/anthropometrics.csv",
         loso="results/loso/loso.csv",
         interface="results/paper/table2_interface.csv",
         gait="results/paper/table3_gait.csv",
@@ -231,6 +261,7 @@ rule report_page:
     shell:
         "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"
         " --tightness {input.tightness:q} --breakpoints {input.breakpoints:q} --cross-trial {input.cross_trial:q}"
-        " --identifiability {input.identifiability:q} --icc {input.icc:q} --priors {input.priors:q} --loso {input.loso:q}"
+        " --identifiability {input.identifiability:q} --icc {input.icc:q} --classes {input.classes:q}"
+        " --priors {input.priors:q} --anthropometrics {input.anthropometrics:q} --loso {input.loso:q}"
         " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q}"
         " --fits {params.fits} --diagnoses {input.diagnoses:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -65,6 +65,12 @@ FIGURES = {
         "interval; zones are the class limits. (b) Every fit over the geometric mean of all (no unit, logarithmic), "
         "shaded by class. Paper: Fig. 4, middle.",
     ),
+    "coverage": (
+        "What the intervals are worth",
+        "Simulated cohorts with a known ICC: how often each method's 95 % interval holds it, against people, and how "
+        "often a truly common and a truly distinct parameter are classed right (shares, no unit). Simulation, no "
+        "measurement and no phantom.",
+    ),
     "loso": (
         "Leave one subject out",
         "What the prior of the others costs the person left out: overhead over their own best fit in %, for "
@@ -121,7 +127,9 @@ class Study:
     cross_trial: list[Row]
     identifiability: list[Row]
     icc: list[Row]
+    classes: list[Row]
     priors: list[Row]
+    anthropometrics: list[Row]
     loso: list[Row]
     fits: list[dict[str, Any]]
     diagnoses: list[dict[str, Any]]
@@ -142,7 +150,9 @@ def report_page(
     cross_trial: Path,
     identifiability: Path,
     icc: Path,
+    classes: Path,
     priors: Path,
+    anthropometrics: Path,
     loso: Path,
     interface: Path,
     gait: Path,
@@ -161,7 +171,7 @@ def report_page(
         Cohort (calibration or validation) of everyone, by id.
     figures
         SVG files, by the names in `FIGURES`.
-    quality, tightness, breakpoints, cross_trial, identifiability, icc, priors, loso, claims
+    quality, tightness, breakpoints, cross_trial, identifiability, icc, classes, priors, anthropometrics, loso, claims
         Files of the stages that bear these names.
     interface, gait, bars
         Tables II and III of `paper.tables`, and the twins' bars where one was trained.
@@ -175,7 +185,9 @@ def report_page(
         "cross_trial": cross_trial,
         "identifiability": identifiability,
         "icc": icc,
+        "classes": classes,
         "priors": priors,
+        "anthropometrics": anthropometrics,
         "loso": loso,
         "interface": interface,
         "gait": gait,
@@ -656,9 +668,59 @@ def _priors(study: Study) -> str:
         "priors",
         "What people share, and priors",
         f'<div class="grid">{_figure(study, "icc")}{_figure(study, "loso")}</div>',
+        _classes(study),
+        _figure(study, "coverage"),
         priors,
         _one_by_one(study, loso),
-        _file(study, "icc", "priors", "loso"),
+        _regression(study),
+        _file(study, "icc", "classes", "priors", "loso", "anthropometrics"),
+    )
+
+
+def _classes(study: Study) -> str:
+    """Which of the classes can be trusted."""
+    rows = [
+        [
+            escape(row["parameter"]),
+            *(escape(row[f"class{by}"]) or _DASH for by in ("", "_by_exact_interval", "_by_nested_interval")),
+            _percent_of(str(100 * number(row["share_determined"])) if row["share_determined"] else ""),
+            f"<strong>{escape(row['verdict'])}</strong>",
+            escape(row["reason"]),
+        ]
+        for row in study.classes
+    ]
+    return table(
+        ["Parameter", "Class (paper)", "By exact interval", "By trials", "Determined", "Verdict", "Why"],
+        rows,
+        caption="Class by the paper's bootstrap over fits, by the exact interval over fits, and by the exact interval "
+        "over trials, which alone counts independent repeats; in how many trials the value was determined; what can be "
+        "told",
+        numeric=(4,),
+    )
+
+
+def _regression(study: Study) -> str:
+    """Do mass, height and waist predict a parameter, or how many people it takes to ask."""
+    states = Counter(row["status"] for row in study.anthropometrics)
+    told = "; ".join(status for status in states if status != "ok")
+    known = [row for row in study.anthropometrics if row["status"] == "ok"]
+    if not known:
+        return paragraph(f"Regression on mass, height and waist: {told or 'none asked for'}.")
+    rows = [
+        [
+            escape(row["parameter"]),
+            escape(row["predictor"]),
+            _value(row["exponent"]),
+            _interval(row["exponent_low"], row["exponent_high"]),
+            _value(row["p_holm"]),
+        ]
+        for row in known
+    ]
+    return table(
+        ["Parameter", "Predictor", "Exponent", "95 % interval", "p (Holm)"],
+        rows,
+        caption="By which power of mass, height and waist a parameter grows",
+        numeric=(2, 4),
     )
 
 

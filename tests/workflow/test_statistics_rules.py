@@ -1,7 +1,6 @@
 """The statistics beside the paper's, from the real Snakefile: what runs, and what a changed setting repeats."""
 
 import csv
-import re
 
 TABLES = {
     "results/shareability/nested.csv": 12,
@@ -27,12 +26,3 @@ def test_tables_are_written_and_a_setting_repeats_only_its_rule(mini):
     mini.snakemake("--cores", "1", *TARGETS)
     mini.configure(statistics={"regression": {"predictors": ["mass_kg"], "people_per_predictor": 5}})
     assert set(mini.planned(*TARGETS, "results/loso/loso.csv")) == {"anthropometrics"}
-
-
-def test_nothing_of_the_statistics_opens_the_seal(project):
-    text = project.snakemake("-n", "--cores", "1", "-p", *TARGETS).stdout
-    blocks = dict(re.findall(r"^rule (\w+):\n(.*?)(?=^rule |\Z)", text, re.S | re.M))
-    for name in ("nested_variance", "classes", "coverage_study", "anthropometrics", "coverage_figure"):
-        assert "python -m real2sim" in blocks[name]
-        assert "sealed" not in blocks[name].split("python -m real2sim")[0]
-        assert "sealed" not in blocks[name].split("python -m real2sim")[1].split("tee")[0]

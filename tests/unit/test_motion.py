@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import pairwise
 
 import jsonschema
 import mujoco
@@ -14,8 +15,10 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Schema
+from PIL import Image
 from real2sim.coupling.plant import ROBOT_JOINTS, load_robot
 from real2sim.errors import InputError
+from real2sim.figures.motion_clip import motion_clip
 from real2sim.formats.mcap_file import Contents, read_messages
 from real2sim.geometry import AXES, interface_coordinates, relative_pose, rotation_matrix, rotation_xyz
 from real2sim.motion.export import CHANNELS, OPTIONAL, export_motion
@@ -253,3 +256,32 @@ def test_arrow_points_along_its_vector(vector):
     quat = np.array([[drawn["pose"]["orientation"][c] for c in "wxyz"]])
     length = drawn["shaft_length"] + drawn["head_length"]
     np.testing.assert_allclose(rotation_matrix(quat)[0][:, 0] * length, vector, atol=2e-6)
+
+
+def test_clip_of_a_trial_moves_and_says_what_it_rests_on(tmp_path):
+    trial = record(tmp_path)
+    _canonical(trial)
+    fit = tmp_path / "restart-1.json"
+    content = {"subject": "S02", "trial": "dynamic_1", "restart": 1, "parameters": trial.parameters}
+    fit.write_text(json.dumps(content | {"cost": {"J": 0.01}}))
+    out = tmp_path / "clip.gif"
+    motion_clip(
+        fits=[fit],
+        pose=trial.pose,
+        markers=trial.markers,
+        limits=trial.limits,
+        step=trial.step,
+        robot=ROBOT,
+        settings=SETTINGS,
+        out=out,
+        seconds=1.0,
+    )
+    with Image.open(out) as clip:
+        frames = []
+        for k in range(clip.n_frames):
+            clip.seek(k)
+            frames.append(np.asarray(clip.convert("RGB")).copy())
+    # 12 a second; those in the gap of the interface markers are left out
+    assert 5 <= len(frames) <= 13
+    assert any((a != b).any() for a, b in pairwise(frames))
+    assert out.stat().st_size < 1e6

@@ -44,6 +44,7 @@ COMMANDS = {
     "diagnose": "real2sim.diagnosis.stage:diagnose",
     "diagnosis-model": "real2sim.diagnosis.export:export_model",
     "motion": "real2sim.motion.export:export_motion",
+    "motion-clip": "real2sim.figures.motion_clip:motion_clip",
     "suite-diagnose": "real2sim.diagnosis.suite:diagnose_cases",
     "suite-score": "real2sim.diagnosis.score:score_diagnosis",
     "twin-human": "real2sim.twin.human:twin_human",

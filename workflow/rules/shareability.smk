@@ -9,7 +9,7 @@ Steps:   ICC with cluster bootstrap; three-way mapping; priors; leave-one-subjec
 rule shareability:
     """ICC(1,1) of each parameter with intervals and class."""
     input:
-        fits=fits_of(CALIBRATION),
+        fits=fits_of_cohort,
     output:
         fits="results/shareability/fits.csv",
         icc="results/shareability/icc.csv",

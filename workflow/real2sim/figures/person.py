@@ -61,7 +61,7 @@ class Person:
     gates: dict[str, Any]
     refined: dict[str, Any]
     notes: dict[str, Any]
-    files: list[tuple[Path, str]]
+    files: dict[str, tuple[Path, str]]
     breakpoints: dict[str, Any] | None
     limits: dict[str, Any] | None
     step: dict[str, Any] | None
@@ -97,7 +97,11 @@ def person_page(
         gates=read_json(gates, ("trials",)),
         refined=read_json(refined, ("subject", "status", "parameters", "trials")),
         notes=read_json(notes, ("trial", "timestep_s", "replay_difference_m")),
-        files=[(interface, "application/xml"), (notes, "application/json"), (refined, "application/json")],
+        files={
+            "interface.xml": (interface, "application/xml"),
+            "interface.json": (notes, "application/json"),
+            "refined.json": (refined, "application/json"),
+        },
         breakpoints=read_json(breakpoints, ("operating_point",)) if breakpoints else None,
         limits=read_json(limits, ("q_min", "q_max", "axes")) if limits else None,
         step=read_json(step, ("timestep_s", "status")) if step else None,
@@ -146,7 +150,7 @@ def _notices(study: Person) -> list[str]:
         out.append(f"Used although a gate refuses it (quality.override): {listed}.")
     if refined["prior_rests_on_person"]:
         out.append("This person's own fits are among those behind the priors: no test on someone unseen.")
-    out += [f"{name} ends {row['end']}." for name, row in refined["parameters"].items() if row["end"]]
+    out += [f"{name} stands {row['end']}." for name, row in refined["parameters"].items() if row["end"]]
     return [f'<p class="notice">{escape(text)}</p>' for text in out]
 
 
@@ -368,7 +372,15 @@ def _costs(study: Person) -> str:
         caption=caption,
         numeric=(1, 2, 3, 4),
     )
-    return section("cost", "Cost J and noise", costs, _against(refined), _elsewhere(refined), _more(refined))
+    return section(
+        "cost",
+        "Cost J and noise",
+        costs,
+        _against(refined),
+        _beyond(refined),
+        _elsewhere(refined),
+        _more(refined),
+    )
 
 
 def _cost_row(label: str, cost: Mapping[str, Any], floor: float, evaluations: int | None) -> list[str]:
@@ -398,6 +410,25 @@ def _against(refined: Mapping[str, Any]) -> str:
         out.append(paragraph(text))
     if not out:
         out.append(paragraph("No full calibration of this person is there to compare with."))
+    return "\n".join(out)
+
+
+def _beyond(refined: Mapping[str, Any]) -> str:
+    """What it costs to stay inside the intervals."""
+    out = []
+    for name, trial in refined["trials"].items():
+        further = trial["beyond_ends"]
+        if further:
+            values = ", ".join(
+                f"{parameter} {rounded(value)}" for parameter, value in further["parameters"].items()
+            )
+            out.append(
+                paragraph(
+                    f"{_words(name)}: beyond the ends of the intervals that were reached J would fall by"
+                    f" {percent(1 - further['J'] / trial['refined']['J'], 1)} ({values}); refinement.also_free searches"
+                    " there by name."
+                )
+            )
     return "\n".join(out)
 
 
@@ -465,12 +496,17 @@ def _diagnosis(study: Person) -> str:
 
 
 def _files(study: Person) -> str:
-    links = "".join(f"<li>{download(path.name, path.read_bytes(), kind)}</li>" for path, kind in study.files)
-    notes = study.notes
+    name, notes = study.refined["subject"], study.notes
+    links = "".join(
+        f"<li>{download(f'{name}_{file}', path.read_bytes(), kind)}</li>"
+        for file, (path, kind) in study.files.items()
+    )
+    off = notes["replay_difference_m"]
+    same = "where ours are, to the last bit" if off == 0 else f"within {off:.1g} m of ours"
     text = (
         "interface.xml is robot, strap and pelvis in one file that MuJoCo loads, with these parameters, joint limits"
         f" and rest pose; interface_replay.csv beside it drives it through {_words(notes['trial'])}. Loaded again and"
-        f" replayed by plain MuJoCo, its markers are within {notes['replay_difference_m']:.1g} m of ours."
+        f" replayed by plain MuJoCo, its markers are {same}."
     )
     return section("files", "Files", paragraph(text), f"<ul>{links}</ul>")
 

@@ -37,6 +37,7 @@ from real2sim.statistics.loso import overhead
 from real2sim.statistics.shareability import USE
 
 OK = "ok"
+_NOT_HELD = ": the interval does not hold this person"
 ASKED = "free by refinement.also_free"
 # A refinement is as good as a full calibration up to this, and worth it below that share of its evaluations
 J_BAR, EVALUATIONS_BAR = 1.02, 0.25
@@ -48,14 +49,13 @@ class Search:
     """What a refinement starts from and may change.
 
     ``prior`` (12,) [SI]; ``bounds`` of the search, the interval's for what is refined inside it; ``free`` (k,) indices
-    of what moves; ``use`` of each parameter by name; ``within`` says of each free one where its ends come from.
+    of what moves; ``use`` of each parameter by name.
     """
 
     prior: np.ndarray
     bounds: Bounds
     free: np.ndarray
     use: dict[str, str]
-    within: dict[str, str]
 
 
 def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Search:
@@ -78,7 +78,7 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Searc
     columns = ("parameter", "prior", "interval_low", "interval_high", "class")
     rows = {row["parameter"]: row for row in read_table(priors, columns)}
     prior, lower, upper = np.empty(12), bounds.lower.copy(), bounds.upper.copy()
-    free, use, within = [], {}, {}
+    free, use = [], {}
     for i, name in enumerate(PARAMETERS):
         row = rows.get(name)
         if row is None or row["class"] not in USE:
@@ -100,11 +100,10 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Searc
                     priors, name, f"interval [{low:g}, {high:g}]", "one that reaches into the bounds"
                 )
         free.append(i)
-        within[name] = "the interval" if use[name] == USE["uncertain"] else "the bounds of the search"
     start = np.clip(prior, lower, upper)
     fixed = np.setdiff1d(np.arange(12), free)
     start[fixed] = prior[fixed]
-    return Search(start, Bounds(lower, upper), np.array(free, int), use, within)
+    return Search(start, Bounds(lower, upper), np.array(free, int), use)
 
 
 def _unusable(priors: Path, name: str, found: str, expected: str) -> InputError:
@@ -171,8 +170,7 @@ def would_gain(
     out = {}
     for i in np.setdiff1d(np.arange(12), search.free):
         free = np.sort(np.append(search.free, i))
-        wider = Bounds(search.bounds.lower.copy(), search.bounds.upper.copy())
-        wider.lower[i], wider.upper[i] = bounds.lower[i], bounds.upper[i]
+        wider = opened(search, bounds, [PARAMETERS[i]]).bounds
         problem.lower, problem.upper = np.log(wider.lower), np.log(wider.upper)
         best, cost, _, _ = minimise(problem, z, free, iterations=settings["profile_iterations"], ftol=1e-4)
         inflation = information(residual, jacobian, sample, free, lags=lags).inflation[i]
@@ -187,17 +185,23 @@ def would_gain(
     return ordered, problem.evaluations
 
 
-def ends_reached(values: np.ndarray, search: Search, tolerance: float) -> dict[str, str]:
-    """Free parameters (12,) that stand within ``tolerance`` (ln-units) of an end, and what that means."""
+def ends_reached(values: np.ndarray, search: Search, bounds: Bounds, tolerance: float) -> dict[str, str]:
+    """Free parameters of (12,) that stand within ``tolerance`` (ln-units) of an end, and what that means.
+
+    An end of an interval that is as near to one of the ``bounds`` of the search is called by that name.
+    """
+    at_end = search.bounds.at_bound(values, tolerance)
+    at_bound = bounds.at_bound(values, 2 * tolerance)
     out = {}
-    for name in search.bounds.at_bound(values, tolerance):
-        if name not in search.within:
+    for i in search.free.tolist():
+        name = PARAMETERS[i]
+        if name not in at_end:
             continue
-        i = PARAMETERS.index(name)
         side = "lower" if values[i] ** 2 < search.bounds.lower[i] * search.bounds.upper[i] else "upper"
-        inside = search.within[name]
-        meaning = ": the interval does not hold this person" if inside == "the interval" else ""
-        out[name] = f"at the {side} end of {inside}{meaning}"
+        if name in at_bound:
+            out[name] = f"at the {side} bound of the search: the optimum may lie beyond it"
+        else:
+            out[name] = f"at the {side} end of the interval{_NOT_HELD}"
     return out
 
 
@@ -289,7 +293,7 @@ def refine(
         )
         found["noise_floor"] = floor_of(quiet, values, settings["identifiability"])
     used += [path for i in usable for path in (poses[i], markers[i])] if status == OK else []
-    ends = ends_reached(values, search, ident["at_bound_ln"]) if status == OK else {}
+    ends = ends_reached(values, search, bounds, ident["at_bound_ln"]) if status == OK else {}
     write_json(
         out,
         record
@@ -352,8 +356,7 @@ def _refine_all(
     settings: dict,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Values (12,) of the person, and what there is to say of each trial, all together and across them."""
-    options = settings["identification"]["least_squares"]
-    how = {"batch": BATCH, "iterations": options["iterations"], "ftol": options["ftol"]}
+    how = _how(settings)
     refined, trials = {}, {}
     for name, model in models.items():
         residuals = _residuals([model])
@@ -383,6 +386,12 @@ def _refine_all(
         }
     cross = None if len(models) < 2 else _cross(models, refined, full)
     return values, {"trials": trials, "pooled": pooled, "cross_trial": cross}
+
+
+def _how(settings: dict) -> dict[str, Any]:
+    """Options of `refine_residuals`."""
+    options = settings["identification"]["least_squares"]
+    return {"batch": BATCH, "iterations": options["iterations"], "ftol": options["ftol"]}
 
 
 def _residuals(models: Sequence[TrialModel]) -> Callable[[np.ndarray], np.ndarray]:
@@ -424,7 +433,7 @@ def _trial(
         lags=lags,
         settings=options,
     )
-    ident = settings["identification"]
+    ends = ends_reached(refined.values, search, bounds, settings["identification"]["at_bound_ln"])
     out: dict[str, Any] = {
         "prior": costs[0],
         "refined": costs[1]
@@ -432,13 +441,14 @@ def _trial(
             "parameters": as_dict(refined.values),
             "evaluations": refined.evaluations,
             "J_over_prior": costs[1]["J"] / costs[0]["J"],
-            "ends": ends_reached(refined.values, search, ident["at_bound_ln"]),
+            "ends": ends,
             "history": {
                 "evaluations": [n for n, _ in refined.history],
                 "best": [best for _, best in refined.history],
             },
         },
         "verdicts": _verdicts(model, refined, search, noise, robot, settings),
+        "beyond_ends": beyond_ends(_residuals([model]), refined, search, bounds, ends, **_how(settings)),
         "if_also_free": more,
         "evaluations_of_if_also_free": evaluations,
         "full": None,
@@ -448,6 +458,37 @@ def _trial(
         out["full"] = full | costs[2]
         out["against_full"] = against_full(costs[1]["J"], refined.evaluations, out["full"])
     return out
+
+
+def opened(search: Search, bounds: Bounds, names: Iterable[str]) -> Search:
+    """The same search with some parameters free between the ``bounds``."""
+    wider = Bounds(search.bounds.lower.copy(), search.bounds.upper.copy())
+    index = [PARAMETERS.index(name) for name in names]
+    wider.lower[index], wider.upper[index] = bounds.lower[index], bounds.upper[index]
+    return Search(search.prior, wider, np.union1d(search.free, index).astype(int), search.use)
+
+
+def beyond_ends(
+    residuals: Callable[[np.ndarray], np.ndarray],
+    refined: Refined,
+    search: Search,
+    bounds: Bounds,
+    ends: Mapping[str, str],
+    **how: Any,
+) -> dict[str, Any] | None:
+    """What J falls to where the search goes on from the ends of intervals that it reached; None if it reached none.
+
+    ``how`` as in `refine_residuals`.
+    """
+    names = [name for name, end in ends.items() if end.endswith(_NOT_HELD)]
+    if not names:
+        return None
+    further = refine_residuals(residuals, opened(search, bounds, names), start=refined.values, **how)
+    return {
+        "J": further.cost,
+        "evaluations": further.evaluations,
+        "parameters": {name: float(further.values[PARAMETERS.index(name)]) for name in names},
+    }
 
 
 def against_full(cost: float, evaluations: int, full: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@
     snakemake --cores 2 --configfile config/quick.yaml     the same line in minutes
     snakemake --cores 2 diagnosis                          which unmodelled effect causes the gap of each person
     snakemake --cores 2 suite --config suite=config/suite-ci.yaml   how often the diagnosis is right, on sealed cases
+    snakemake --cores 2 person_S06                         one person from the priors: refined interface, MJCF, page
     snakemake --cores 2 motion                             every fitted trial as a file to watch in Foxglove
     snakemake --cores 2 twin                               does the identified interface make a simulated person adapt
     snakemake --cores 2 quality                            what the recordings are worth, without fitting anything
@@ -31,6 +32,7 @@ include: "workflow/rules/limits.smk"
 include: "workflow/rules/identification.smk"
 include: "workflow/rules/shareability.smk"
 include: "workflow/rules/diagnosis.smk"
+include: "workflow/rules/people.smk"
 include: "workflow/rules/motion.smk"
 include: "workflow/rules/twin.smk"
 include: "workflow/rules/paper.smk"

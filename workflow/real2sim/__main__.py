@@ -35,6 +35,8 @@ COMMANDS = {
     "cross-trial": "real2sim.identification.transfer:cross_trial",
     "loso": "real2sim.identification.transfer:loso_subject",
     "loso-table": "real2sim.statistics.loso:loso_table",
+    "refine": "real2sim.identification.refinement:refine",
+    "person-interface": "real2sim.identification.interface:export_interface",
     "shareability": "real2sim.statistics.shareability:shareability",
     "priors": "real2sim.statistics.shareability:priors",
     "nested-variance": "real2sim.statistics.nested:nested_variance",
@@ -69,6 +71,7 @@ COMMANDS = {
     "diagnosis-page": "real2sim.figures.diagnosis:diagnosis_page",
     "diagnosis-table": "real2sim.figures.diagnosis:diagnosis_table",
     "suite-page": "real2sim.figures.suite:suite_page",
+    "person-page": "real2sim.figures.person:person_page",
     "report-page": "real2sim.figures.report:report_page",
 }
 

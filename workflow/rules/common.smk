@@ -51,15 +51,20 @@ def load_study(raw_config):
         source = Path(study["paths"]["phantom"])
         phantom = validated(read_yaml(source), "phantom", source)
         people = planned_subjects(phantom, Path("results/phantom/raw"))
-    if not any(person.cohort == "calibration" for person in people.values()):
-        raise InputError(
-            study["paths"]["subjects"],
-            "",
-            f"{len(people)} people, none with `cohort: calibration` in subject.yaml",
-            "at least one person to calibrate on",
-            "Add a person (config/README.md), or set `cohort: auto` to run the phantom.",
-        )
+    if not people:
+        raise nobody_to_calibrate(study, people)
     return study, people, phantom
+
+
+def nobody_to_calibrate(study, people):
+    """The error for a study of nobody, or for priors of a cohort that has none to calibrate."""
+    return InputError(
+        study["paths"]["subjects"],
+        "",
+        f"{len(people)} people, none with `cohort: calibration` in subject.yaml",
+        "at least one person to calibrate on",
+        "Add a person (config/README.md), or set `cohort: auto` to run the phantom.",
+    )
 
 
 def suite_settings():
@@ -171,6 +176,13 @@ def fits_of(subjects):
     ]
 
 
+def fits_of_cohort(wildcards):
+    """All fits of the calibration cohort, which has to have someone."""
+    if not CALIBRATION:
+        raise WorkflowError(f"\n{nobody_to_calibrate(STUDY, PEOPLE)}")
+    return fits_of(CALIBRATION)
+
+
 def gates_of_fit(wildcards):
     """Verdicts on a fitted trial and on those that its fit rests on: rest pose and joint limits."""
     trials = [wildcards.trial, "neutral", *PEOPLE[wildcards.subject].operating_point]
@@ -191,6 +203,53 @@ def operating_point(wildcards, kind):
 def where_limits_are_known(wildcards, stage):
     """results/<stage>/<SUBJECT>.json where the sweeps at T* were recorded, else nothing: a diagnosis goes without."""
     return f"results/{stage}/{wildcards.subject}.json" if PEOPLE[wildcards.subject].has_limits else []
+
+
+def full_calibration(wildcards):
+    """All fits of a person where a refinement is compared with them: where they are there anyway, or always."""
+    fits = fits_of([wildcards.subject])
+    if STUDY["refinement"]["compare"] == "always" or wildcards.subject in CALIBRATION:
+        return fits
+    return fits if all(Path(path).exists() for path in fits) else []
+
+
+def where_refined(wildcards, stage):
+    """results/<stage>/<SUBJECT>.json where a dynamic trial can be replayed within limits, else nothing."""
+    return where_limits_are_known(wildcards, stage) if PEOPLE[wildcards.subject].trials_of("dynamic") else []
+
+
+def gates_of_refinement(wildcards):
+    """Verdicts on all dynamic trials and on those that a fit rests on."""
+    person = PEOPLE[wildcards.subject]
+    point = person.operating_point if person.has_limits else ()
+    trials = ["neutral", *point, *person.trials_of("dynamic")]
+    return [f"results/quality/{wildcards.subject}/{trial}.json" for trial in trials]
+
+
+def where_swept(wildcards):
+    """Breakpoints of a person who was swept, else nothing."""
+    swept = PEOPLE[wildcards.subject].trials_of("rotation", "translation")
+    return f"results/tightness/{wildcards.subject}/breakpoints.json" if swept else []
+
+
+def where_diagnosed(wildcards):
+    """diagnosis.json of a person with two dynamic trials, else nothing."""
+    return f"results/diagnosis/{wildcards.subject}/diagnosis.json" if wildcards.subject in DIAGNOSED else []
+
+
+def given(**options):
+    """Options of a command for those inputs that there are."""
+    return [part for name, path in options.items() if path for part in (f"--{name}", path)]
+
+
+def no_such_person(wildcards):
+    """The error for a name that nobody bears."""
+    raise WorkflowError(
+        f"\nperson_{wildcards.unknown}"
+        f"\n  found:    no person {wildcards.unknown} in {STUDY['paths']['subjects']}"
+        f"\n  expected: person_<ID> with one of {', '.join(PEOPLE)}"
+        f"\n  remedy:   add the person's folder (docs/how-to/new-person.md), or correct the name"
+    )
 
 
 def folders_of(subject, kind):

@@ -20,7 +20,7 @@ SHARE_TABLES = [
 rule shareability:
     """ICC(1,1) of each parameter with intervals and class."""
     input:
-        fits=fits_of(CALIBRATION),
+        fits=fits_of_cohort,
     output:
         fits="results/shareability/fits.csv",
         icc="results/shareability/icc.csv",

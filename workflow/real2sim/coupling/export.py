@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from real2sim.coupling.superset import EffectReplay, Simulated
+from real2sim.artefacts import write_table
+from real2sim.coupling.plant import INTERFACE_SITES
+from real2sim.coupling.replay import Replay, Simulated
 
 # Relative difference that a number may have after it was written and read; angles are turned to radians and back
 _SAME = 1e-12
@@ -139,7 +142,7 @@ def _differing(one: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -> 
     ]
 
 
-def baked(replay: EffectReplay, simulated: Simulated) -> mujoco.MjSpec:
+def baked(replay: Replay, simulated: Simulated) -> mujoco.MjSpec:
     """The replay's description with the values of a simulation in its elements, and a keyframe ``start``.
 
     Raises
@@ -271,3 +274,46 @@ def _inertial(element: ET.Element, body: Any) -> None:
     _set(inertial, "quat", body.iquat)
     _set(inertial, "mass", [body.mass])
     _set(inertial, "diaginertia", body.inertia)
+
+
+# What whoever loads a model has to know of how it is driven and stepped
+HOW_IT_IS_DRIVEN = (
+    "Shapes are left out: nothing touches.",
+    "The pelvis follows actuators pelvis_tx to pelvis_rz: position relative to site pelvis_reference (m, rotation",
+    "vector), plus 2 h velocity, plus 2 h^2 acceleration, velocities taken h/2 earlier (h: the time step). Damped",
+    "joints carry armature -damping h / 2, which centres the step: keep h, or change both.",
+)
+
+
+def write_replay(out: Path, replay: Replay, simulated: Simulated) -> None:
+    """CSV of the last simulation: controls by actuator and interface sites [m, world] at every step."""
+    model = simulated.model
+    driven = [model.actuator(i).name for i in range(model.nu)]
+    sites = [f"{site}_{axis}_m" for site in INTERFACE_SITES for axis in "xyz"]
+    paths = replay.sites()
+    time = np.arange(len(paths)) * model.opt.timestep
+    write_table(
+        out,
+        ["time_s", *driven, *sites],
+        (
+            dict(zip(["time_s", *driven, *sites], map(float, (t, *u, *p)), strict=True))
+            for t, u, p in zip(time, simulated.control, paths.reshape(len(paths), 6), strict=True)
+        ),
+    )
+
+
+def replayed(text: str, control: np.ndarray) -> np.ndarray:
+    """Interface sites (nstep, 2, 3) [m, world] of an MJCF text in plain MuJoCo, from its keyframe.
+
+    ``control`` (nstep, nu) is the command of each step.
+    """
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key(START_KEY).id)
+    columns = [model.sensor(f"position_{site}").adr[0] + i for site in INTERFACE_SITES for i in range(3)]
+    out = np.empty((len(control), 6))
+    for i, command in enumerate(control):
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data)
+        out[i] = data.sensordata[columns]
+    return out.reshape(-1, 2, 3)

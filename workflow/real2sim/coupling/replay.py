@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -22,6 +23,16 @@ from real2sim.coupling.plant import (
 )
 from real2sim.errors import InputError
 from real2sim.geometry import interface_coordinates, relative_pose
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One simulation: compiled model with all values, joint positions and rates at the start, command (nstep, nu)."""
+
+    model: mujoco.MjModel
+    position: np.ndarray
+    velocity: np.ndarray
+    control: np.ndarray
 
 
 class Replay:
@@ -184,6 +195,15 @@ class Replay:
         """As `run`, with the simulated pelvis origin (m, nstep, 3) [m, world] at every step."""
         sensors = self._simulate(parameters)
         return self._samples(sensors), sensors[:, :, self._pelvis_columns].copy()
+
+    def as_simulated(self) -> Simulated:
+        """Model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""
+        position, velocity = self._start_state
+        return Simulated(self._batch.get_model(0), position, velocity, self._control[0].copy())
+
+    def sites(self) -> np.ndarray:
+        """Interface sites (nstep, 2, 3) [m, world] of the last call's first simulation, before any output chain."""
+        return self._record["sensordata"][0, :, self._columns].reshape(self.nstep, 2, 3).copy()
 
     def _samples(self, sensors: np.ndarray) -> np.ndarray:
         sites = sensors[:, :: self.stride, self._columns]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -12,16 +11,6 @@ from real2sim.coupling.drive import pelvis_drive
 from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.coupling.replay import Replay, servo_command
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """One simulation: compiled model with all values, joint positions and rates at the start, command (nstep, nu)."""
-
-    model: mujoco.MjModel
-    position: np.ndarray
-    velocity: np.ndarray
-    control: np.ndarray
 
 
 class EffectReplay(Replay):
@@ -117,15 +106,6 @@ class EffectReplay(Replay):
                 paths = placed.effect.output_chain(paths, value, self._context)
         assert len(paths) == m
         return paths, joints
-
-    def as_simulated(self) -> Simulated:
-        """Model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""
-        position, velocity = self._start_state
-        return Simulated(self._batch.get_model(0), position, velocity, self._control[0].copy())
-
-    def sites(self) -> np.ndarray:
-        """Interface sites (nstep, 2, 3) [m, world] of the last call's first simulation, before any output chain."""
-        return self._record["sensordata"][0, :, self._columns].reshape(self.nstep, 2, 3).copy()
 
     def _roll(self, m: int) -> np.ndarray:
         fields = Fields(self._batch, self.model, m, self._scales)

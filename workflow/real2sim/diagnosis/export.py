@@ -9,11 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from real2sim.artefacts import read_json, write_json, write_table
+from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS, Effect, Placed, PlannedForce, Scales, Where
-from real2sim.coupling.export import START_KEY, baked, to_mjcf
-from real2sim.coupling.plant import INTERFACE_SITES
-from real2sim.coupling.superset import EffectReplay, Simulated
+from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 from real2sim.diagnosis.evidence import load_evidence, marker_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.errors import InputError
@@ -134,7 +132,7 @@ def export_model(
     )
     write_text(out, text)
     write_json(notes, _notes(answer, about, train.name) | {"provenance": sources})
-    _write_replay(replay, model, simulated)
+    write_replay(replay, model, simulated)
 
 
 def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
@@ -193,10 +191,7 @@ def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str,
         "Effects:" if about else "Effects: none.",
         *(f"  {a['effect']}: {_line(a)}" for a in about),
         f"Start pose and rest of the robot's controller: trial {trial}, keyframe {START_KEY}.",
-        "Shapes are left out: nothing touches.",
-        "The pelvis follows actuators pelvis_tx to pelvis_rz: position relative to site pelvis_reference (m, rotation",
-        "vector), plus 2 h velocity, plus 2 h^2 acceleration, velocities taken h/2 earlier (h: the time step). Damped",
-        "joints carry armature -damping h / 2, which centres the step: keep h, or change both.",
+        *HOW_IT_IS_DRIVEN,
         f"{replay} holds these controls for one trial (planned_*: planned forces), and where the sites are then.",
     ]
 
@@ -232,20 +227,3 @@ def _notes(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str) 
             for name, p in answer["parameters"].items()
         },
     }
-
-
-def _write_replay(out: Path, replay: EffectReplay, simulated: Simulated) -> None:
-    """Controls and interface sites of the last simulation, step by step."""
-    model = simulated.model
-    driven = [model.actuator(i).name for i in range(model.nu)]
-    sites = [f"{site}_{axis}_m" for site in INTERFACE_SITES for axis in "xyz"]
-    paths = replay.sites()
-    time = np.arange(len(paths)) * model.opt.timestep
-    write_table(
-        out,
-        ["time_s", *driven, *sites],
-        (
-            dict(zip(["time_s", *driven, *sites], map(float, (t, *u, *p)), strict=True))
-            for t, u, p in zip(time, simulated.control, paths.reshape(len(paths), 6), strict=True)
-        ),
-    )

@@ -6,6 +6,7 @@ reader's light or dark setting.
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Sequence
@@ -17,7 +18,19 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from real2sim.figures import style
+from real2sim.identification.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
+from real2sim.quality.verdict import PASS, REFUSE, WARN
 
+_MARKS = {
+    DETERMINED: "\N{CHECK MARK}",
+    WEAK: "\N{ALMOST EQUAL TO}",
+    NOT_DETERMINED: "\N{MULTIPLICATION SIGN}",
+    AT_BOUND: "\N{LEFTWARDS ARROW TO BAR OVER RIGHTWARDS ARROW TO BAR}",
+    PASS: "\N{CHECK MARK}",
+    WARN: "!",
+    REFUSE: "\N{MULTIPLICATION SIGN}",
+}
+_GOOD, _BAD = (DETERMINED, PASS), (NOT_DETERMINED, REFUSE)
 # What replaces a colour of a figure: name of the variable, in light, in dark
 _COLOURS = {
     "#000000": ("ink", "#1a1a1a", "#e6e6e6"),
@@ -224,3 +237,20 @@ def bar(share: float) -> str:
     """A bar of a probability or share, for the eye only: the number stands beside it."""
     width = 100 * min(max(share, 0.0), 1.0)
     return f'<span class="bar" aria-hidden="true"><span style="width:{width:.1f}%"></span></span>'
+
+
+def verdict(name: str, text: str = "") -> str:
+    """A verdict of a gate or on a parameter as word and mark: never colour alone."""
+    kind = "met" if name in _GOOD else "missed" if name in _BAD else "warned"
+    return f'<span class="{kind}">{_MARKS[name]} {escape(text or name)}</span>'
+
+
+def download(name: str, content: bytes, kind: str) -> str:
+    """A link that holds the file itself; ``kind`` is its MIME type."""
+    data = base64.b64encode(content).decode()
+    return f'<a download="{escape(name, quote=True)}" href="data:{kind};base64,{data}">{escape(name)}</a>'
+
+
+def folded(summary: str, inside: str, *, unfolded: bool = False) -> str:
+    """Markup behind a line of plain text."""
+    return f"<details{' open' if unfolded else ''}><summary>{escape(summary)}</summary>\n{inside}\n</details>"

@@ -137,10 +137,12 @@ def assess_model(
     *,
     robot: Path,
     settings: dict,
+    fitted: np.ndarray | None = None,
 ) -> dict:
     """Verdicts on a fit (12,) of a trial, with intervals corrected for the noise of the input.
 
     ``settings`` has the slices ``identification``, ``identifiability``, ``plant``, ``robot`` and ``ingest``;
+    ``fitted`` lists the indices of the parameters that were fitted, all by default;
     ``noise_m`` (4,) is the SD of the pelvis markers' white noise [m], None if it is not known.
     """
     rate = 1 / float(model.trial.time_s[1] - model.trial.time_s[0])
@@ -153,6 +155,7 @@ def assess_model(
         rate_hz=rate,
         settings=settings["identifiability"],
         noise=None if noise_m is None else InputNoise(model, noise_m, robot=robot, settings=settings),
+        fitted=fitted,
     )
     result["input_noise_m"] = None if noise_m is None else noise_m.tolist()
     return result

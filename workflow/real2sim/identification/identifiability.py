@@ -164,26 +164,29 @@ def corrected_fit(
     step: float,
     lags: int,
     iterations: int,
+    free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, NoiseTerms]:
     """Minimum of the cost less what the noise of the input adds to it, by Newton steps from a fit z (12,).
 
-    Returns ln-parameters (12,) and the noise's terms at the last point that was looked at.
+    Only the parameters listed in ``free`` move, all where it is None. Returns ln-parameters (12,) and the noise's terms
+    at the last point that was looked at.
     """
+    moving = np.arange(12) if free is None else free
     point = z
     for _ in range(iterations):
         terms = noise(point)
         residual, jacobian = central_jacobian(residuals, point, step)
-        info = information(residual, jacobian, sample, np.arange(12), lags=lags, noise=terms)
-        move = _newton_step(info, point, residuals)
+        info = information(residual, jacobian, sample, moving, lags=lags, noise=terms)
+        move = _newton_step(info, point, residuals, moving)
         point = np.clip(point + move, residuals.lower, residuals.upper)
-        if np.all(np.abs(move) <= SMALL_STEP_SD * info.sd()):
+        if np.all(np.abs(move[moving]) <= SMALL_STEP_SD * info.sd()[moving]):
             break
     return point, terms
 
 
-def _newton_step(info: Information, z: np.ndarray, residuals: Residuals) -> np.ndarray:
-    """Step (12,) down the corrected cost; parameters that it would push through their bound stay."""
-    free = np.ones(12, bool)
+def _newton_step(info: Information, z: np.ndarray, residuals: Residuals, moving: np.ndarray) -> np.ndarray:
+    """Step (12,) of those ``moving`` down the corrected cost; those that it would push through their bound stay."""
+    free = np.isin(np.arange(12), moving)
     move = np.zeros(12)
     for _ in range(3):
         move[:] = 0.0
@@ -205,13 +208,14 @@ def profile_end(
     sd: float,
     threshold: float,
     iterations: int,
+    free: np.ndarray | None = None,
 ) -> float | None:
-    """Where J, refitted over the other parameters, has risen by ``threshold`` on one side of a fit.
+    """Where J, refitted over the others of the parameters in ``free``, has risen by ``threshold`` on one side of a fit.
 
     The first refit is where a parabola with this ``sd`` (ln-units) ends; from there outwards in growing steps until J
     has risen. Returns the ln-value, or None if J has not risen at the bound.
     """
-    others = np.delete(np.arange(12), index)
+    others = np.setdiff1d(np.arange(12) if free is None else free, [index])
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
     start, inner, low = z, float(z[index]), 0.0
     stride = float(np.clip(NORMAL_95 * sd, 0.05, 1.0))
@@ -264,12 +268,20 @@ def _advice(name: str) -> str:
 
 
 def _profile(
-    problem: Residuals, z: np.ndarray, cost: float, index: int, known: Information, iterations: int
+    problem: Residuals,
+    z: np.ndarray,
+    cost: float,
+    index: int,
+    known: Information,
+    iterations: int,
+    free: np.ndarray,
 ) -> list[float | None]:
     """Both ends (ln-units) of one parameter's 95 % interval by the profile of J."""
     sd, threshold = float(known.sd()[index]), NORMAL_95**2 * float(known.inflation[index])
     return [
-        profile_end(problem, z, cost, index, side, sd=sd, threshold=threshold, iterations=iterations)
+        profile_end(
+            problem, z, cost, index, side, sd=sd, threshold=threshold, iterations=iterations, free=free
+        )
         for side in (-1, 1)
     ]
 
@@ -284,6 +296,7 @@ def assess(
     rate_hz: float,
     settings: dict,
     noise: Callable[[np.ndarray], NoiseTerms] | None = None,
+    fitted: np.ndarray | None = None,
 ) -> dict:
     """Verdict on each parameter of a fit.
 
@@ -302,17 +315,19 @@ def assess(
     noise
         Maps z (12,) to what the noise of the input adds there. The bias that it causes is taken off the intervals, not
         off the fit.
+    fitted
+        Indices of the parameters that were fitted, all by default; the others are taken for known and have no verdict.
 
     Returns
     -------
     dict
-        Per parameter ``value``, ``ci95`` [SI], ``sd_ln``, ``bias_ln``, ``verdict``, ``reason``, ``next_trial``; ``J``,
-        ``flat_directions``, ``evaluations``, ``refined_by`` (largest change in ln-units by the refinement) and the
-        ``jacobian`` (n_r, 12).
+        Per fitted parameter ``value``, ``ci95`` [SI], ``sd_ln``, ``bias_ln``, ``verdict``, ``reason``, ``next_trial``;
+        ``J``, ``flat_directions``, ``evaluations``, ``refined_by`` (largest change in ln-units by the refinement) and
+        the ``jacobian`` (n_r, 12).
     """
     problem = Residuals(residuals, bounds, batch)
     start = np.log(parameters)
-    everything = np.arange(12)
+    everything = np.arange(12) if fitted is None else fitted
     z, cost, _, _ = minimise(problem, start, everything, iterations=settings["iterations"], ftol=1e-8)
     lags = round(settings["autocorrelation_s"] * rate_hz)
     residual, jacobian = central_jacobian(problem, z, settings["step_ln"])
@@ -327,6 +342,7 @@ def assess(
             step=settings["step_ln"],
             lags=lags,
             iterations=settings["bias_iterations"],
+            free=everything,
         )
         residual, jacobian = central_jacobian(problem, point, settings["step_ln"])
     shift = z - point
@@ -335,10 +351,11 @@ def assess(
     at_bound = (z - problem.lower < near) | (problem.upper - z < near)
     # at its bound a parameter is known, but for what cannot be known at all
     bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
-    free = np.flatnonzero(~bound)
+    free = everything[~bound[everything]]
     info = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
     rows = {}
-    for i, name in enumerate(PARAMETERS):
+    for i in everything.tolist():
+        name = PARAMETERS[i]
         known = whole if bound[i] else info
         sd = float(known.sd()[i])
         ends: list[float | None] = [float(point[i] + side * NORMAL_95 * sd) for side in (-1, 1)]
@@ -349,7 +366,7 @@ def assess(
                 for end in ends
             ]
         elif bound[i] or sd > settings["determined_sd_ln"]:
-            sides = _profile(problem, z, cost, i, known, settings["profile_iterations"])
+            sides = _profile(problem, z, cost, i, known, settings["profile_iterations"], everything)
             ends = [None if end is None else end - float(shift[i]) for end in sides]
         rows[name] = {
             "value": float(np.exp(z[i])),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.identification.fit import best_of
 from real2sim.identification.parameters import as_vector
-from real2sim.identification.trial import trial_model, with_step
+from real2sim.identification.trial import TrialModel, trial_model, with_step
 from real2sim.provenance import fingerprint
 from real2sim.quality.verdict import overridden_gates
 
@@ -29,6 +30,31 @@ def block_bootstrap_mean(
     tail = (1 - confidence) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return float(low), float(high)
+
+
+def floor_of(model: TrialModel, parameters: np.ndarray, options: dict) -> dict[str, Any]:
+    """Cost of a quiet trial replayed with parameters (12,): ``J``, its terms and ``ci95`` by a block bootstrap.
+
+    ``options`` is the slice ``identifiability`` of the configuration.
+    """
+    paths = model.replay.run(parameters[None])
+    residual, terms = model.cost.residuals(paths)[0], model.cost(paths)
+    energy = np.bincount(model.cost.sample_of_residual(), weights=residual**2)
+    used = energy > 0
+    rate = 1 / float(model.trial.time_s[1] - model.trial.time_s[0])
+    low, high = block_bootstrap_mean(
+        energy[used] * used.sum(),
+        round(options["floor_block_s"] * rate),
+        options["floor_bootstrap"],
+        0.95,
+        options["seed"],
+    )
+    return {
+        "J": float(terms.total[0]),
+        "J_position": float(terms.position[0]),
+        "J_velocity": float(terms.velocity[0]),
+        "ci95": [low, high],
+    }
 
 
 def noise_floor(
@@ -53,27 +79,12 @@ def noise_floor(
     """
     records = [read_json(path, ("trial", "restart", "parameters", "cost")) for path in fits]
     settings = with_step(settings, step)
-    options = settings["identifiability"]
     model = trial_model(pose=pose, markers=markers, limits=limits, robot=robot, settings=settings, nsim=1)
-    best = best_of(records)
-    residual = model.cost.residuals(model.replay.run(as_vector(best["parameters"])[None]))[0]
-    terms = model.cost(model.replay.run(as_vector(best["parameters"])[None]))
-    sample = model.cost.sample_of_residual()
-    energy = np.bincount(sample, weights=residual**2)
-    used = energy > 0
-    rate = 1 / float(model.trial.time_s[1] - model.trial.time_s[0])
-    low, high = block_bootstrap_mean(
-        energy[used] * used.sum(),
-        round(options["floor_block_s"] * rate),
-        options["floor_bootstrap"],
-        0.95,
-        options["seed"],
-    )
+    floor = floor_of(model, as_vector(best_of(records)["parameters"]), settings["identifiability"])
     trials = {
         trial: best_of([r for r in records if r["trial"] == trial])["cost"]["J"]
         for trial in sorted({r["trial"] for r in records})
     }
-    floor = float(terms.total[0])
     write_json(
         out,
         {
@@ -82,11 +93,8 @@ def noise_floor(
             "source": "neutral",
             "phantom": model.trial.phantom,
             "overridden_gates": overridden_gates(records),
-            "J": floor,
-            "J_position": float(terms.position[0]),
-            "J_velocity": float(terms.velocity[0]),
-            "ci95": [low, high],
-            "repeats": {"J": trials, "over_floor": {trial: j / floor for trial, j in trials.items()}},
+            **floor,
+            "repeats": {"J": trials, "over_floor": {trial: j / floor["J"] for trial, j in trials.items()}},
             "provenance": {"code_fingerprint": fingerprint(__name__)},
         },
     )

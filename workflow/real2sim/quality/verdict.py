@@ -79,6 +79,19 @@ def require(gates: Sequence[Path], trial: str) -> dict[str, list[str]]:
     return out
 
 
+def held_back(gates: Sequence[Path]) -> dict[str, list[str]]:
+    """Names of the gates that refuse trials and are not overridden: {"S01/dynamic_1": ["spikes"]}.
+
+    For what goes on without a refused trial and says so, where `require` would stop. ``gates`` as there.
+    """
+    contents = [read_json(path, ("subject", "trial", "refused", "override")) for path in gates]
+    return {
+        f"{content['subject']}/{content['trial']}": [gate["gate"] for gate in content["refused"]]
+        for content in contents
+        if content["refused"] and content["override"] is None
+    }
+
+
 def refused_gates(gates: Sequence[Path]) -> dict[str, list[str]]:
     """Names of the gates that refuse trials, overridden or not: {"S01/dynamic_1": ["spikes"]}.
 

@@ -52,6 +52,8 @@ rule all:
         rules.paper_tables.output,
         rules.claims.output,
         SHARE_TABLES,
+        PEOPLE_PAGES,
+        expand("results/people/{subject}/interface.xml", subject=VALIDATION),
         "results/tightness/cohort.json",
         "results/quality/quality.csv",
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),

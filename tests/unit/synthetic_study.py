@@ -183,6 +183,26 @@ def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
     return {"interface": out[2], "gait": out[4], "bars": twin["bars"]}
 
 
+def write_refined(path: Path, *, ratio: float = 1.01, share: float = 0.2, in_priors: bool = False) -> Path:
+    """Refinement of an unseen person on one trial beside a full calibration."""
+    against = {
+        "J_ratio": ratio,
+        "evaluations_over_best_restart": share,
+        "evaluations_over_all_restarts": share / 5,
+        "bar": {"J_ratio": 1.02, "evaluations_over_best_restart": 0.25},
+        "met": ratio <= 1.02 and share <= 0.25,
+    }
+    trial = {
+        "prior": {"J": 0.08},
+        "refined": {"J": 0.03 * ratio, "evaluations": round(1200 * share)},
+        "full": {"J": 0.03},
+        "against_full": against,
+    }
+    record = {"subject": "S99", "status": "ok", "free": ["k_ty", "d_tx"], "prior_rests_on_person": in_priors}
+    write_json(path, record | {"trials": {"dynamic_1": trial}})
+    return path
+
+
 def claim_arguments(folder: Path, study: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `claims` for a study of `write_study`, but those of its twin."""
     people = sorted({path.parent for path in (folder / "tightness").glob("*/subject.yaml")})
@@ -250,4 +270,4 @@ def write_study(
     study |= _paper(folder, study)
     given = claim_arguments(folder, study)
     claims(**given)
-    return study | {"claims": given["out"]}
+    return study | {"claims": given["out"], "refined": [write_refined(folder / "refined.json")]}

@@ -14,7 +14,7 @@ from real2sim.paper import claims as paper_claims
 from real2sim.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
 from real2sim.paper.latex import escaped, latex_table, macro_name, macros
 from real2sim.paper.tables import paper_figures
-from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_study, write_twin
+from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_refined, write_study, write_twin
 
 LIBRARY = Path(__file__).parents[2] / "workflow" / "real2sim"
 
@@ -132,6 +132,21 @@ def test_real_people_are_judged_by_the_number_itself(tmp_path):
     assert found["J_within"]["verdict"] == "reproduced"
     assert found["J_cross"]["verdict"] == "not reproduced"
     assert all(row["phantom"] == "false" for row in found.values())
+
+
+@pytest.mark.parametrize(
+    ("ratio", "share", "fidelity", "cheap"),
+    [(1.01, 0.2, "reproduced", "reproduced"), (1.05, 0.3, "not reproduced", "not reproduced")],
+)
+def test_refining_is_judged_beside_the_full_calibration(study, tmp_path, ratio, share, fidelity, cheap):
+    refined = write_refined(tmp_path / "refined.json", ratio=ratio, share=share)
+    found = _judged(*study, tmp_path, refined=[refined])
+    assert found["refine_fidelity"]["verdict"] == f"{fidelity} on the phantom"
+    assert found["refine_evaluations"]["verdict"] == f"{cheap} on the phantom"
+    assert number(found["refine_fidelity"]["here"]) == pytest.approx(100 * (ratio - 1))
+    assert found["refine_count"]["verdict"] == "not reproduced on the phantom"
+    own = _judged(*study, tmp_path, refined=[write_refined(refined, in_priors=True)])
+    assert own["refine_fidelity"]["verdict"] == NOT_COMPUTED, "somebody behind the priors is not unseen"
 
 
 def test_gait_and_sway_are_judged_per_seed_at_the_compared_cap(study, table, tmp_path):

@@ -85,6 +85,8 @@ def test_every_part_of_the_study_is_told(report):
     assert "5 of 6 bars of the simulated walkers are met" in page.text
     assert "S99, seed 1" in page.text
     assert "cannot be told" in page.text
+    assert "only k_ty, d_tx are refined" in page.text
+    assert "1.0 %" in page.text, "refined above full"
     assert "Regression on mass, height and waist: needs at least 30 people, have 4" in page.text
     assert "inconsistent within the paper" in page.text
 

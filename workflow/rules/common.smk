@@ -206,11 +206,10 @@ def where_limits_are_known(wildcards, stage):
 
 
 def full_calibration(wildcards):
-    """All fits of a person where a refinement is compared with them: where they are there anyway, or always."""
-    fits = fits_of([wildcards.subject])
-    if STUDY["refinement"]["compare"] == "always" or wildcards.subject in CALIBRATION:
-        return fits
-    return fits if all(Path(path).exists() for path in fits) else []
+    """All fits of a person where a refinement is compared with them."""
+    name, whom = wildcards.subject, STUDY["refinement"]["compare"]
+    compared = name in CALIBRATION or whom == "always" or (whom == "first" and name in VALIDATION[:1])
+    return fits_of([name]) if compared else []
 
 
 def where_refined(wildcards, stage):

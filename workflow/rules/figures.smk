@@ -215,8 +215,12 @@ rule identifiability_table:
         " | tee {log:q}"
 
 
-# a diagnosis costs minutes per person: the report holds those that were asked for
-REPORTED = [name for name in DIAGNOSED if Path(f"results/diagnosis/{name}/diagnosis.json").exists()]
+# a diagnosis costs a minute per person: beside the unseen people's, the report holds those that were asked for
+REPORTED = [
+    name
+    for name in DIAGNOSED
+    if name in VALIDATION or Path(f"results/diagnosis/{name}/diagnosis.json").exists()
+]
 
 
 rule report_page:
@@ -238,6 +242,7 @@ rule report_page:
         gait="results/paper/table3_gait.csv",
         claims="results/paper/claims.csv",
         bars=TWIN_TABLES["bars"],
+        refined=REFINED,
         fits=fits_of(CALIBRATION),
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
@@ -263,5 +268,5 @@ rule report_page:
         " --tightness {input.tightness:q} --breakpoints {input.breakpoints:q} --cross-trial {input.cross_trial:q}"
         " --identifiability {input.identifiability:q} --icc {input.icc:q} --classes {input.classes:q}"
         " --priors {input.priors:q} --anthropometrics {input.anthropometrics:q} --loso {input.loso:q}"
-        " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q}"
+        " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q} --refined {input.refined:q}"
         " --fits {params.fits} --diagnoses {input.diagnoses:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -96,6 +96,7 @@ rule claims:
         icc="results/shareability/icc.csv",
         loso="results/loso/loso.csv",
         coverage="results/shareability/coverage.csv",
+        refined=REFINED,
         gait=TWIN_TABLES["gait"],
         interface=TWIN_TABLES["interface"],
         human=expand("results/twin/{subject}/human.xml", subject=WALKER),
@@ -127,5 +128,5 @@ rule claims:
     shell:
         "python -m real2sim claims --published {input.published:q} --people {params.people:q} --sweeps {input.sweeps:q}"
         " --tightness {input.tightness:q} --fits {input.fits:q} --cross-trial {input.cross_trial:q} --icc {input.icc:q}"
-        " --loso {input.loso:q} --coverage {input.coverage:q} {params.twin:q} --main-cap {params.main_cap} --out {output.table:q}"
+        " --loso {input.loso:q} --coverage {input.coverage:q} --refined {input.refined:q} {params.twin:q} --main-cap {params.main_cap} --out {output.table:q}"
         " --out-tex {output.tex:q} --out-numbers {output.numbers:q} 2>&1 | tee {log:q}"

@@ -137,6 +137,7 @@ class Study:
     gait: list[Row]
     claims: list[Row]
     bars: list[Row]
+    refined: list[dict[str, Any]]
     files: dict[str, Path] = field(default_factory=dict)
 
 
@@ -161,6 +162,7 @@ def report_page(
     title: str,
     out: Path,
     bars: Path | None = None,
+    refined: list[Path] | None = None,
     diagnoses: list[Path] | None = None,
 ) -> None:
     """Write the report of a study: cohort, gates, tightness, identification, priors, validation, claims, provenance.
@@ -177,6 +179,8 @@ def report_page(
         Tables II and III of `paper.tables`, and the twins' bars where one was trained.
     fits
         All fit files, for what they rest on.
+    refined
+        Refinements of unseen people.
     diagnoses
         diagnosis.json of those who have one.
     """
@@ -200,6 +204,7 @@ def report_page(
         breakpoints=[read_json(path, ("subject", "operating_point")) for path in breakpoints],
         tightness=read_json(tightness, ("status", "pooled")),
         fits=[read_json(path, ("subject", "trial", "cost", "settings", "provenance")) for path in fits],
+        refined=[read_json(path, ("subject", "status", "free", "trials")) for path in refined or []],
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
         files=tables,
         **({"bars": []} | {name: read_table(path) for name, path in tables.items()}),
@@ -672,6 +677,7 @@ def _priors(study: Study) -> str:
         _figure(study, "coverage"),
         priors,
         _one_by_one(study, loso),
+        _refinements(study),
         _regression(study),
         _file(study, "icc", "classes", "priors", "loso", "anthropometrics"),
     )
@@ -696,6 +702,45 @@ def _classes(study: Study) -> str:
         "over trials, which alone counts independent repeats; in how many trials the value was determined; what can be "
         "told",
         numeric=(4,),
+    )
+
+
+def _refinements(study: Study) -> str:
+    """What the priors are worth for someone unseen: as they are, refined, and beside a full calibration."""
+    rows = []
+    for record in study.refined:
+        for trial, found in record["trials"].items():
+            full, against = found["full"], found["against_full"]
+            rows.append(
+                [
+                    escape(f"{record['subject']}, {_words(trial)}"),
+                    rounded(found["prior"]["J"], 4),
+                    rounded(found["refined"]["J"], 4),
+                    rounded(full["J"], 4) if full else _DASH,
+                    percent(against["J_ratio"] - 1, 1) if against else _DASH,
+                    str(found["refined"]["evaluations"]),
+                    percent(against["evaluations_over_best_restart"], 0) if against else _DASH,
+                ]
+            )
+    waiting = [f"{r['subject']}: {r['status']}." for r in study.refined if not r["trials"]]
+    markup = "".join(paragraph(text) for text in waiting)
+    if not rows:
+        return markup
+    free = study.refined[0]["free"]
+    return markup + table(
+        [
+            "Person, trial",
+            "J, prior",
+            "J, refined",
+            "J, full calibration",
+            "Refined above full",
+            "Evaluations",
+            "Of one restart's",
+        ],
+        rows,
+        caption=f"Unseen people: only {_listed(free)} are refined, the rest stays at the prior. Each person has a page "
+        "of their own in results/people",
+        numeric=(1, 2, 3, 4, 5, 6),
     )
 
 

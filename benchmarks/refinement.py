@@ -56,7 +56,7 @@ def search_of_others(fits: list[Path], subject: str, config: dict, bounds: Bound
             settings=config["statistics"],
             out=tables["priors"],
         )
-        return read_search(tables["priors"], bounds, [])
+        return read_search(tables["priors"], bounds, [], config["refinement"]["interval"])
 
 
 def judged(folder: Path, subject: str, trial: str, search: Search, config: dict, bounds: Bounds) -> dict:
@@ -132,10 +132,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--config", type=Path, default=ROOT / "config" / "config.yaml")
+    parser.add_argument(
+        "--interval", choices=("prediction", "spread"), help="that of the configuration by default"
+    )
     parser.add_argument("--people", nargs="*", help="all that have fits by default")
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     config = validated(read_yaml(given.config), "config", given.config)
+    if given.interval:
+        config["refinement"]["interval"] = given.interval
     bounds = Bounds.from_config(config["identification"]["bounds"])
     cohort = sorted(
         {row.split(",")[0] for row in (given.results / "shareability/fits.csv").read_text().split()[1:]}

@@ -205,6 +205,17 @@ def test_classes_say_what_is_open_and_between_which_ends(tmp_path):
     assert search.use["d_rz"] == "free by refinement.also_free"
 
 
+def test_the_next_person_is_looked_for_where_people_are_expected(tmp_path):
+    rows = read_table(table(tmp_path / "spread.csv", k_ty={"class": "uncertain"}))
+    wider = tmp_path / "priors.csv"
+    more = {"prediction_low": "10.0", "prediction_high": "160.0"}
+    write_table(wider, [*rows[0], *more], [row | more for row in rows])
+    k_ty = PARAMETERS.index("k_ty")
+    for interval, ends in (("prediction", (10, 160)), ("spread", (20, 80))):
+        search = read_search(wider, BOUNDS, [], interval)
+        assert (search.bounds.lower[k_ty], search.bounds.upper[k_ty]) == ends
+
+
 def test_the_published_table_serves_as_it_is():
     bounds = Bounds.from_config(CONFIG["identification"]["bounds"])
     search = read_search(PUBLISHED, bounds, [])

@@ -17,7 +17,7 @@ from real2sim.statistics.piecewise import (
     breakpoint_p_value,
     fit_piecewise,
 )
-from real2sim.statistics.shareability import classify, priors, read_fits, shareability
+from real2sim.statistics.shareability import classify, prediction_interval, priors, read_fits, shareability
 from synthetic_results import CENTRE, write_fits, write_loso
 
 SETTINGS = {
@@ -147,6 +147,24 @@ def test_order_of_the_fit_files_does_not_matter(tmp_path):
         shareability(fits=order, settings=SETTINGS, **out)
     assert (tmp_path / "icc-a.csv").read_bytes() == (tmp_path / "icc-b.csv").read_bytes()
     assert (tmp_path / "fits-a.csv").read_bytes() == (tmp_path / "fits-b.csv").read_bytes()
+
+
+def test_the_next_person_lies_where_students_interval_says():
+    # two people with two fits each, ln-means 0 and 2: SD sqrt(2), t(1) = 12.706, sqrt(1 + 1/2)
+    values = np.exp(np.array([[-1.0], [1.0], [1.0], [3.0]]))
+    low, high = prediction_interval(values, ["a", "a", "b", "b"], 0.95)
+    reach = 12.7062 * np.sqrt(2) * np.sqrt(1.5)
+    np.testing.assert_allclose(np.log([low[0], high[0]]), [1 - reach, 1 + reach], rtol=1e-5)
+    assert np.isnan(prediction_interval(values[:2], ["a", "a"], 0.95)).all()
+    # of many cohorts of five it holds the next person in 95 % of cases
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(2000):
+        person = rng.standard_normal(6)
+        fits = np.exp(np.repeat(person[:5], 2) + 0.01 * rng.standard_normal(10))[:, None]
+        low, high = prediction_interval(fits, [*np.repeat(list("abcde"), 2)], 0.95)
+        held += low[0] <= np.exp(person[5]) <= high[0]
+    assert 0.935 < held / 2000 < 0.965
 
 
 def test_one_person_gets_the_published_priors_and_no_icc(tmp_path):

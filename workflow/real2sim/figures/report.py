@@ -5,7 +5,6 @@ A section stands where what it tells of exists; a later stage adds one by adding
 
 from __future__ import annotations
 
-import base64
 import statistics
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +15,19 @@ from typing import Any
 
 from real2sim.artefacts import number, read_json, read_table
 from real2sim.figures.diagnosis import digest
-from real2sim.figures.page import bar, document, inline, paragraph, percent, rounded, section, table
+from real2sim.figures.page import (
+    bar,
+    document,
+    download,
+    folded,
+    inline,
+    paragraph,
+    percent,
+    rounded,
+    section,
+    table,
+    verdict,
+)
 from real2sim.figures.style import signed
 from real2sim.files import write_text
 from real2sim.identification.parameters import PARAMETERS, unit
@@ -29,16 +40,6 @@ MANY_PEOPLE = 40
 # Beyond so many input files each fit file holds its own, and the page their number
 MANY_FILES = 400
 VERDICTS = ("determined", "weak", "not determined", "at bound")
-_MARKS = {
-    "determined": "\N{CHECK MARK}",
-    "weak": "\N{ALMOST EQUAL TO}",
-    "not determined": "\N{MULTIPLICATION SIGN}",
-    "at bound": "\N{LEFTWARDS ARROW TO BAR OVER RIGHTWARDS ARROW TO BAR}",
-    PASS: "\N{CHECK MARK}",
-    WARN: "!",
-    REFUSE: "\N{MULTIPLICATION SIGN}",
-}
-_GOOD, _BAD = ("determined", PASS), ("not determined", REFUSE)
 _DASH = "\N{EN DASH}"
 
 # By the name of the figure's file: title, and what it shows with units and place in the paper
@@ -232,16 +233,10 @@ def _heading(part: str) -> str:
 # -------------------- parts of a page
 
 
-def _download(name: str, content: bytes, kind: str) -> str:
-    """A link that holds the file itself."""
-    data = base64.b64encode(content).decode()
-    return f'<a download="{escape(name, quote=True)}" href="data:{kind};base64,{data}">{escape(name)}</a>'
-
-
 def _file(study: Study, *names: str) -> str:
     """The tables behind a section, to take away."""
     links = [
-        _download(path.name, path.read_bytes(), "text/csv") for path in (study.files[name] for name in names)
+        download(path.name, path.read_bytes(), "text/csv") for path in (study.files[name] for name in names)
     ]
     return f'<p class="small tools">All numbers: {", ".join(links)}</p>'
 
@@ -258,20 +253,9 @@ def _figure(study: Study, name: str) -> str:
     tools = (
         f'<p class="small tools"><button type="button" class="enlarge" data-title="{quoted}" hidden '
         f'aria-label="Enlarge: {quoted}">Enlarge</button> '
-        f"{_download(path.name, path.read_bytes(), 'image/svg+xml')}</p>"
+        f"{download(path.name, path.read_bytes(), 'image/svg+xml')}</p>"
     )
     return shown.replace("</figure>", f"{tools}</figure>")
-
-
-def _folded(summary: str, inside: str, *, open_: bool = False) -> str:
-    """Markup behind a line of plain text."""
-    return f"<details{' open' if open_ else ''}><summary>{escape(summary)}</summary>\n{inside}\n</details>"
-
-
-def _verdict(name: str, text: str = "") -> str:
-    """A verdict as word and mark: never colour alone."""
-    kind = "met" if name in _GOOD else "missed" if name in _BAD else "warned"
-    return f'<span class="{kind}">{_MARKS[name]} {escape(text or name)}</span>'
 
 
 def _value(text: str, digits: int = 3) -> str:
@@ -304,7 +288,7 @@ def _by_subject(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def _one_by_one(study: Study, markup: str) -> str:
     """A table with a row per person, folded away where there are many."""
     people = len(study.people)
-    return _folded(f"{people} people, one by one", markup) if people > MANY_PEOPLE else markup
+    return folded(f"{people} people, one by one", markup) if people > MANY_PEOPLE else markup
 
 
 def _person(rows: Sequence[Row], name: str) -> Row | None:
@@ -349,9 +333,9 @@ def _trials(study: Study) -> dict[tuple[str, str], str]:
 def _verdicts_of_people(study: Study) -> dict[str, Counter[str]]:
     """How many trials of each person pass, are warned about, are refused."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in study.people}
-    for (person, _), verdict in _trials(study).items():
+    for (person, _), gravest in _trials(study).items():
         if person in counts:
-            counts[person][verdict] += 1
+            counts[person][gravest] += 1
     return counts
 
 
@@ -397,7 +381,7 @@ def _cohort(study: Study) -> str:
             escape(name),
             escape(kind),
             str(own.total()),
-            _verdict(grave, f"{own[grave]} {grave}" if grave != PASS else "pass"),
+            verdict(grave, f"{own[grave]} {grave}" if grave != PASS else "pass"),
             rounded(points.get(name, {}).get("selected_cm"), 3),
             _value(cross["J_within_mean_1"]) if cross else _DASH,
             _value(cross["J_floor_1"]) if cross else _DASH,
@@ -451,9 +435,7 @@ def _gates(study: Study) -> str:
     listed = [
         [
             escape(f"{row['subject']} {row['trial']}"),
-            _verdict(
-                row["verdict"], row["verdict"] + (", overridden" if row["overridden"] == "true" else "")
-            ),
+            verdict(row["verdict"], row["verdict"] + (", overridden" if row["overridden"] == "true" else "")),
             escape(_words(row["gate"])),
             escape(row["message"]),
             escape(row["remedy"]),
@@ -473,7 +455,7 @@ def _gates(study: Study) -> str:
         listed,
         caption="Every warning and refusal. A refused trial stops its fit unless it is overridden by name",
     )
-    body = _folded(f"{len(listed)} warnings and refusals", detail, open_=len(listed) <= 12)
+    body = folded(f"{len(listed)} warnings and refusals", detail, unfolded=len(listed) <= 12)
     return section("quality", "Quality of the recordings", summary, body, _file(study, "quality"))
 
 
@@ -485,7 +467,7 @@ def _tightness(study: Study) -> str:
                 name, escape(name)
             ),
             escape(about["status"]),
-            _verdict("determined", "yes") if about.get("exists") else "no",
+            verdict("determined", "yes") if about.get("exists") else "no",
             rounded(about.get("breakpoint")) if about.get("exists") else _DASH,
             rounded(about.get("p_value")),
             str(about.get("n_subjects", _DASH)),
@@ -548,7 +530,7 @@ def _identification(study: Study) -> str:
     )
     people = _by_subject(study.identifiability)
     own = "\n".join(
-        _folded(f"{name}: {_counted(mine)}", _parameters(name, mine), open_=i == 0)
+        folded(f"{name}: {_counted(mine)}", _parameters(name, mine), unfolded=i == 0)
         for i, (name, mine) in enumerate(people.items())
     )
     if len(people) > MANY_PEOPLE:
@@ -625,7 +607,7 @@ def _parameters(name: str, mine: Sequence[Row]) -> str:
 
 def _judged(row: Row) -> list[str]:
     between = _interval(row["ci95_low"], row["ci95_high"])
-    return [f"{_value(row['value'])} <span class='small'>{between}</span>", _verdict(row["verdict"])]
+    return [f"{_value(row['value'])} <span class='small'>{between}</span>", verdict(row["verdict"])]
 
 
 def _priors(study: Study) -> str:
@@ -635,6 +617,7 @@ def _priors(study: Study) -> str:
             escape(row["parameter"]),
             _value(row["prior"], 4),
             _interval(row["interval_low"], row["interval_high"]),
+            _interval(row["prediction_low"], row["prediction_high"]),
             escape(row["unit"]),
             escape(row["class"]),
             _value(share.get(row["parameter"], {}).get("icc", "")),
@@ -645,12 +628,23 @@ def _priors(study: Study) -> str:
         for row in study.priors
     ]
     priors = table(
-        ["Parameter", "Prior", "95 % spread", "Unit", "Class", "ICC", "Use", "Published", "Published class"],
+        [
+            "Parameter",
+            "Prior",
+            "95 % spread",
+            "Next person (95 %)",
+            "Unit",
+            "Class",
+            "ICC",
+            "Use",
+            "Published",
+            "Published class",
+        ],
         rows,
         caption="Geometric mean and empirical spread of the fits, beside the paper's Table I. Where there "
         "are too few people "
         "the published prior stands in.",
-        numeric=(1, 2, 5, 7),
+        numeric=(1, 2, 3, 6, 8),
     )
     left_out = [
         [
@@ -773,7 +767,7 @@ def _diagnoses(study: Study) -> str:
     if not study.diagnoses:
         return ""
     people = "\n".join(
-        _folded(f"{d['subject']}: {_words(d['verdict'])}", digest(d), open_=i == 0)
+        folded(f"{d['subject']}: {_words(d['verdict'])}", digest(d), unfolded=i == 0)
         for i, d in enumerate(study.diagnoses[:MANY_PEOPLE])
     )
     if len(study.diagnoses) > MANY_PEOPLE:
@@ -956,7 +950,7 @@ def _provenance(study: Study) -> str:
     return (
         '<footer>\n<h2 id="provenance">Provenance</h2>\n'
         + "\n".join(paragraph(text) for text in facts if study.fits)
-        + (_folded(f"{len(rows)} input files", files) if files else "")
+        + (folded(f"{len(rows)} input files", files) if files else "")
         + (
             paragraph(f"{len(inputs)} input files; each fit file names its own.")
             if len(inputs) > MANY_FILES

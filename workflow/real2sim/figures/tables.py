@@ -20,6 +20,8 @@ PRIORS_COLUMNS = (
     "ratio_to_published_1",
     "inside_published_interval",
     "same_class",
+    "prediction_low",
+    "prediction_high",
     "use",
     "source",
     "status",

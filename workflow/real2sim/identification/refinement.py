@@ -37,6 +37,7 @@ from real2sim.statistics.loso import overhead
 from real2sim.statistics.shareability import USE
 
 OK = "ok"
+PREDICTION = "prediction"
 _NOT_HELD = ": the interval does not hold this person"
 ASKED = "free by refinement.also_free"
 # A refinement is as good as a full calibration up to this, and worth it below that share of its evaluations
@@ -58,7 +59,7 @@ class Search:
     use: dict[str, str]
 
 
-def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Search:
+def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str], interval: str = PREDICTION) -> Search:
     """What priors.csv leaves open, inside the bounds of the search.
 
     Parameters
@@ -67,6 +68,8 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Searc
         Table of `statistics.shareability.priors`, or the published one, which has no column ``use``.
     bounds
         Of the search: intervals are clipped to them, and they hold what is calibrated per person.
+    interval
+        ``prediction``: where the next person is expected, where the table has it; ``spread``: that of the fits (paper).
     also_free
         Names of parameters that are free whatever their class, inside the bounds of the search.
 
@@ -84,7 +87,8 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Searc
         if row is None or row["class"] not in USE:
             found = f"class {row['class']!r}" if row else "no such row"
             raise _unusable(priors, name, found, f"one of {', '.join(USE)}")
-        prior[i], low, high = (number(row[key]) for key in columns[1:4])
+        prior[i] = number(row["prior"])
+        low, high = _interval(row, interval)
         if not bounds.lower[i] <= prior[i] <= bounds.upper[i]:
             inside = f"within identification.bounds, {bounds.lower[i]:g} to {bounds.upper[i]:g}"
             raise _unusable(priors, name, f"prior {row['prior'] or 'missing'}", inside)
@@ -104,6 +108,12 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str]) -> Searc
     fixed = np.setdiff1d(np.arange(12), free)
     start[fixed] = prior[fixed]
     return Search(start, Bounds(lower, upper), np.array(free, int), use)
+
+
+def _interval(row: Mapping[str, str], kind: str) -> tuple[float, float]:
+    """Ends of a parameter's interval; a table without predictions has its spread."""
+    ends = "prediction" if kind == PREDICTION and row.get("prediction_low") else "interval"
+    return number(row[f"{ends}_low"]), number(row[f"{ends}_high"])
 
 
 def _unusable(priors: Path, name: str, found: str, expected: str) -> InputError:
@@ -250,7 +260,8 @@ def refine(
     """
     ident = settings["identification"]
     bounds = Bounds.from_config(ident["bounds"])
-    search = read_search(priors, bounds, settings["refinement"]["also_free"])
+    options = settings["refinement"]
+    search = read_search(priors, bounds, options["also_free"], options["interval"])
     refused = held_back(gates)
     left_out = {t: g for t, g in refused.items() if t.split("/")[1] in {p.parent.name for p in poses}}
     usable = [i for i, pose in enumerate(poses) if f"{subject}/{pose.parent.name}" not in refused]

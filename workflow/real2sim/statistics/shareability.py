@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from real2sim.artefacts import (
     needs_people,
@@ -61,6 +62,8 @@ PRIOR_COLUMNS = (
     "interval_low",
     "interval_high",
     "class",
+    "prediction_low",
+    "prediction_high",
     "use",
     "source",
     "status",
@@ -92,6 +95,23 @@ def empirical_spread(values: np.ndarray, confidence: float) -> tuple[np.ndarray,
     """Central empirical percentiles over the fits, (n, p) -> two (p,): 2.5 and 97.5 % at 0.95."""
     low, high = np.quantile(values, [(1 - confidence) / 2, (1 + confidence) / 2], axis=0)
     return low, high
+
+
+def prediction_interval(
+    values: np.ndarray, subjects: Sequence[str], confidence: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the next person's parameter is expected, (n, p) -> two (p,): Student's prediction interval in ln.
+
+    People are the repeats, each by the mean of ln over their fits: geometric mean times exp(±t SD sqrt(1 + 1/N)).
+    Unlike the spread of the fits it grows as people get fewer. NaN with fewer than two people.
+    """
+    names = np.asarray(subjects)
+    means = np.array([np.log(values[names == name]).mean(axis=0) for name in np.unique(names)])
+    people = len(means)
+    if people < 2:
+        return np.full(values.shape[1], np.nan), np.full(values.shape[1], np.nan)
+    reach = stdtrit(people - 1, (1 + confidence) / 2) * means.std(axis=0, ddof=1) * np.sqrt(1 + 1 / people)
+    return np.exp(means.mean(axis=0) - reach), np.exp(means.mean(axis=0) + reach)
 
 
 def read_fits(paths: Sequence[Path]) -> list[dict[str, Any]]:
@@ -252,13 +272,15 @@ def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
 
 
 def priors(*, fits: Path, icc: Path, published: Path, settings: dict, out: Path) -> None:
-    """Prior and search range of each parameter: geometric mean and empirical 95 % spread of the fits.
+    """Prior and search ranges of each parameter: spread of the fits, and where the next person is expected.
 
-    ``fits`` and ``icc`` are the tables of `shareability`, ``published`` is
+    ``prior`` is the geometric mean, ``interval_*`` the empirical 95 % spread (paper eq. 6), ``prediction_*`` that of
+    `prediction_interval`. ``fits`` and ``icc`` are the tables of `shareability`, ``published`` is
     resources/published/table1_priors.csv and stands in, marked as such in ``source``, where there are too few
     people for an ICC.
     """
-    fit_rows = read_table(fits, [parameter_column(n) for n in PARAMETERS])
+    fit_rows = read_table(fits, ["subject", *(parameter_column(n) for n in PARAMETERS)])
+    subjects = [row["subject"] for row in fit_rows]
     icc_rows = {
         row["parameter"]: row
         for row in read_table(icc, ("parameter", "status", "class", "overridden", "phantom"))
@@ -273,11 +295,14 @@ def priors(*, fits: Path, icc: Path, published: Path, settings: dict, out: Path)
         if found["class"]:
             values = np.array([[number(r[parameter_column(name)])] for r in fit_rows])
             low, high = empirical_spread(values, settings["confidence"])
+            next_low, next_high = prediction_interval(values, subjects, settings["confidence"])
             row = {
                 "prior": float(point_prior(values)[0]),
                 "interval_low": float(low[0]),
                 "interval_high": float(high[0]),
                 "class": found["class"],
+                "prediction_low": float(next_low[0]),
+                "prediction_high": float(next_high[0]),
                 "use": USE[found["class"]],
                 "source": "this cohort",
                 "status": found["status"],

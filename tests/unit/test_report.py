@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from real2sim.artefacts import write_json
-from real2sim.figures.report import report_page
+from real2sim.figures.report import FIGURES, report_page
 from synthetic_study import REMEDY, write_study
 from test_pages import _diagnosis, _Page
 
@@ -82,6 +82,7 @@ def test_every_part_of_the_study_is_told(report):
     assert "0123456789abcdef" in page.text
     assert "Slack causes the gap" in page.text
     assert "1.28" in page.text, "the paper's own cost"
+    assert all(about.split(".")[0] in page.text for _, about in FIGURES.values())
     assert "5 of 6 bars of the simulated walkers are met" in page.text
     assert "S99, seed 1" in page.text
     assert "cannot be told" in page.text

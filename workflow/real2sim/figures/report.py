@@ -78,6 +78,18 @@ FIGURES = {
         "cost J and "
         "for position RMSE. Paper: Fig. 4, bottom, and eq. 7.",
     ),
+    "interface": (
+        "Interface while walking",
+        "Where the interface midpoint goes relative to the pelvis, from above (mm), while walking with the robot: "
+        "measured, and simulated under every interface (first seed), with 95 % ellipses; γ is "
+        "the ratio of the spreads forward and to the side. Paper: Fig. 5.",
+    ),
+    "gait": (
+        "Gait",
+        "Hip, knee and ankle angle (deg) over the gait cycle (%), measured and simulated, with and without the robot; "
+        "mean and SD over cycles, first seed. (g) What the robot changes in the range of motion (deg), a point per "
+        "seed. Paper: Fig. 6.",
+    ),
 }
 
 _SCRIPT = """

@@ -134,6 +134,25 @@ def test_real_people_are_judged_by_the_number_itself(tmp_path):
     assert all(row["phantom"] == "false" for row in found.values())
 
 
+def test_the_bootstrap_is_judged_by_simulation(study, tmp_path):
+    columns = ("method", "design", "icc", "n_people", "coverage")
+    for low, verdict in ((0.7, "does not hold in simulation"), (0.94, "holds in simulation")):
+        rows = [
+            ("bootstrap", "restarts of trials", 0.0, 5, 0.95),
+            ("bootstrap", "restarts of trials", 0.9, 5, low),
+        ]
+        rows += [
+            ("bootstrap", "restarts of trials", 0.9, 50, 0.1),
+            ("exact", "restarts of trials", 0.9, 5, 0.2),
+        ]
+        path = tmp_path / "coverage.csv"
+        write_table(path, columns, [dict(zip(columns, row, strict=True)) for row in rows])
+        found = _judged(*study, tmp_path, coverage=path)["bootstrap_coverage"]
+        assert found["verdict"] == verdict
+        assert number(found["here"]) == pytest.approx(100 * low)
+        assert found["phantom"] == "false"
+
+
 @pytest.mark.parametrize(
     ("ratio", "share", "fidelity", "cheap"),
     [(1.01, 0.2, "reproduced", "reproduced"), (1.05, 0.3, "not reproduced", "not reproduced")],

@@ -140,7 +140,7 @@ rule twin_coupled:
         policy="results/twin/{subject}/seed-{seed}/policy.npz",
         record="results/twin/{subject}/seed-{seed}/policy.json",
         priors="results/priors/priors.csv",
-        fits=lambda wildcards: fits_of([wildcards.subject] if wildcards.subject in CALIBRATION else []),
+        fits=full_calibration,
         limits="results/limits/{subject}.json",
         neutral="results/trials/{subject}/neutral/pose.parquet",
         tables=lambda wildcards: walk_tables(wildcards.subject, "walk_normal", "walk_robot"),

@@ -892,7 +892,13 @@ def _bars(study: Study) -> str:
     )
 
 
-_JUDGED = {"reproduced": "met", "holds": "met", "not reproduced": "missed", "inconsistent": "missed"}
+_JUDGED = {
+    "reproduced": "met",
+    "holds": "met",
+    "not reproduced": "missed",
+    "inconsistent": "missed",
+    "does not": "missed",
+}
 
 
 def _claims(study: Study) -> str:

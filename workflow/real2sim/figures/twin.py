@@ -40,7 +40,7 @@ def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed:
         return 0.0
     major, minor = cloud["ellipse"]["semi_axes_mm"]
     x, y = np.array(cloud["points_mm"]).T
-    axes.plot(x, y, ".", color=colour, markersize=1.2, alpha=0.35, markeredgewidth=0, zorder=1)
+    axes.plot(x, y, ".", color=colour, markersize=2.2, alpha=0.5, markeredgewidth=0, zorder=1)
     axes.add_patch(
         Ellipse(
             (0, 0),
@@ -88,8 +88,10 @@ def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
                     style.say(axes, "no whole stride")
                 elif row == 0:
                     # above the curves, where there is room for it
-                    axes.set_ylim(top=axes.get_ylim()[1] + 18)
-                    axes.legend(ncols=2, columnspacing=0.8, loc="upper center")
+                    axes.set_ylim(top=axes.get_ylim()[1] + 9)
+                    axes.legend(
+                        ncols=1 if axes is real else 2, columnspacing=0.8, loc="upper center", borderaxespad=0
+                    )
                 if row == len(JOINTS) - 1:
                     axes.set_xlabel("gait cycle (%)")
             style.panel_letter(real, "ace"[row], f"{name}, measured")
@@ -147,5 +149,7 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.set_yticks(range(len(JOINTS)), list(JOINTS.values()))
     axes.invert_yaxis()
-    axes.set_xlabel("change of range of motion by the robot (deg); point: seed, line: measured")
+    axes.set_xlabel(
+        "change of range of motion by the robot (deg)\npoint: a seed of the simulation, line: measured"
+    )
     style.panel_letter(axes, "g")

@@ -28,6 +28,8 @@ PRIVATE = "not reproducible from public data"
 INCONSISTENT = "inconsistent within the paper"
 CONSISTENT = "holds within the paper"
 NOT_COMPUTED = "not computed here"
+# of a method, tried on simulated data that are neither measured nor the phantom's
+SIMULATED, REFUTED = "holds in simulation", "does not hold in simulation"
 COLUMNS = (
     "claim",
     "place",
@@ -328,8 +330,7 @@ def _bootstrap_coverage(e: Evidence) -> Finding:
         f"Between {_short(low)} and {_short(high)} % over true ICCs from {_short(min(coverage))} to "
         f"{_short(max(coverage))}, simulated normal data of {_short(people)} people with restarts of trials."
     )
-    # simulated data, neither the phantom's nor measured: a statement about the paper's method
-    return Finding(low, CONSISTENT if low >= 93 and high <= 97 else INCONSISTENT, reason)
+    return Finding(low, SIMULATED if low >= 93 and high <= 97 else REFUTED, reason)
 
 
 _claim(_number_of_class, "n_common", "n_uncertain")
@@ -714,7 +715,7 @@ def judge(evidence: Evidence) -> list[dict[str, Any]]:
     rows = []
     for name, claim in evidence.claims.items():
         found = _JUDGES[name](evidence)
-        own = found.verdict not in (INCONSISTENT, CONSISTENT)
+        own = found.verdict not in (INCONSISTENT, CONSISTENT, SIMULATED, REFUTED)
         rows.append(
             {key: claim[key] for key in ("claim", "place", "says", "unit", "criterion")}
             | {"published": claim["published"], "here": found.here, "verdict": found.verdict}

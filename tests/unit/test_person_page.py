@@ -82,6 +82,7 @@ def _refined(full: bool = True, **changes) -> dict:
         "overridden_gates": {},
         "refused_gates": {},
         "prior_rests_on_person": False,
+        "priors_rest_on_refused": [],
         "free": list(FREE),
         "parameters": rows,
         "trials": {"dynamic_1": _trial(full), "dynamic_2": _trial(full)},
@@ -207,6 +208,7 @@ def test_what_is_in_doubt_is_said_at_the_top(tmp_path):
         refused_gates={"S07/dynamic_3": ["spikes"]},
         overridden_gates={"S07/neutral": ["gaps"]},
         prior_rests_on_person=True,
+        priors_rest_on_refused=["S01/dynamic_1"],
     )
     refined["parameters"]["k_ty"]["end"] = (
         "at the upper end of the interval: the interval does not hold this person"

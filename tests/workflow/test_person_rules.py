@@ -40,7 +40,7 @@ def test_a_person_is_planned_with_a_full_calibration_of_theirs_only_to_compare(p
 
 
 def test_other_priors_need_no_cohort(project):
-    project.configure(refinement={"priors": "resources/published/table1_priors.csv"})
+    project.configure(refinement={"priors": "resources/published/table1_priors.csv", "compare": "never"})
     planned = project.planned("person_S06")
     assert not {"fit", "priors", "shareability"} & set(planned)
     assert planned["ingest_S06"] == 1

@@ -220,6 +220,7 @@ def test_refused_trial_stops_and_once_overridden_marks_all_that_rests_on_it(mini
         "priors",
         "loso",
         "tables",
+        "refined",
     )
     results = mini.folder / "results"
     files = [p for name in made_of_fits for p in (results / name).rglob("*") if p.suffix in (".json", ".csv")]
@@ -228,8 +229,13 @@ def test_refused_trial_stops_and_once_overridden_marks_all_that_rests_on_it(mini
     # what rests on other fits alone: the person's other trial, and the other people's own files
     own = ("fits/S01/dynamic_2", "identifiability/S01/dynamic_2")
     own += tuple(f"{name}/{person}" for person in ("S02", "S06") for name in made_of_fits[:4])
+    # simulated cohorts, which rest on nobody
+    own += ("shareability/coverage.csv", "shareability/power.csv")
     assert all(name.startswith(own) for name in clean), clean
     assert not any(name.startswith(own) for name in marked)
     assert "loso/S02.json" in marked, "its prior is made of the other's fits"
     assert {"priors/priors.csv", "loso/loso.csv", "tables/cross_trial.csv", "tables/priors.csv"} <= marked
+    assert "refined/S06.json" in marked, "its priors are"
+    for name in ("paper/claims.csv", "paper/table1_priors.csv", "people/S06.html"):
+        assert "S01/dynamic_1" in (results / name).read_text(), name
     assert "quality.override): S01/dynamic_1." in (results / "report.html").read_text()

@@ -148,6 +148,9 @@ def _notices(study: Person) -> list[str]:
     if refined["overridden_gates"]:
         listed = ", ".join(refined["overridden_gates"])
         out.append(f"Used although a gate refuses it (quality.override): {listed}.")
+    if refined["priors_rest_on_refused"]:
+        listed = ", ".join(refined["priors_rest_on_refused"])
+        out.append(f"The priors rest on trials that a gate refuses (quality.override): {listed}.")
     if refined["prior_rests_on_person"]:
         out.append("This person's own fits are among those behind the priors: no test on someone unseen.")
     out += [f"{name} stands {row['end']}." for name, row in refined["parameters"].items() if row["end"]]

@@ -272,6 +272,9 @@ def refine(
         "phantom": bool(read_json(neutral_quality).get("phantom", False)),
         "status": status,
         "overridden_gates": {},
+        "priors_rest_on_refused": sorted(
+            {trial for row in read_table(priors) for trial in row.get("overridden", "").split()}
+        ),
         "refused_gates": refused,
         "prior_rests_on_person": in_priors,
         "free": [PARAMETERS[i] for i in search.free],

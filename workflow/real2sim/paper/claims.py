@@ -40,6 +40,7 @@ COLUMNS = (
     "verdict",
     "reason",
     "criterion",
+    "overridden",
     "phantom",
 )
 JOINTS = ("hip_flexion", "knee_angle", "ankle_angle")
@@ -720,8 +721,14 @@ def judge(evidence: Evidence) -> list[dict[str, Any]]:
             {key: claim[key] for key in ("claim", "place", "says", "unit", "criterion")}
             | {"published": claim["published"], "here": found.here, "verdict": found.verdict}
             | {"reason": found.reason, "phantom": evidence.phantom and own}
+            | {"overridden": _refused(evidence) if own else ""}
         )
     return rows
+
+
+def _refused(evidence: Evidence) -> str:
+    """Trials that the results rest on although a gate refuses them, as a table cell."""
+    return " ".join(sorted({trial for row in evidence.icc for trial in row.get("overridden", "").split()}))
 
 
 def claims(

@@ -217,6 +217,7 @@ def test_what_is_in_doubt_is_said_at_the_top(tmp_path):
     top = page.text[: page.text.index("Who")]
     assert "S07/dynamic_3 is refused by its gates (spikes) and left out." in top
     assert "(quality.override): S07/neutral." in top
+    assert "The priors rest on trials that a gate refuses (quality.override): S01/dynamic_1." in top
     assert "own fits are among those behind the priors" in top
     assert "k_ty stands at the upper end of the interval: the interval does not hold this person." in top
     assert "No full calibration of this person is there to compare with." in page.text

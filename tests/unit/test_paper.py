@@ -209,6 +209,9 @@ def test_tables_hold_ours_beside_the_published_ones(study):
     assert number(sway["prior"]["sigma_y_mm"]) == 7
     assert number(sway["prior"]["sigma_y_mm_seed_sd"]) == 1
     assert sway["prior"]["published_gamma"] == "0.36"
+    assert sway["walk_robot"]["seeds"] == sway["walk_robot"]["sigma_y_mm_seed_sd"] == "", (
+        "it was measured once"
+    )
     gait = {(row["joint"], row["condition"]): row for row in read_table(given["gait"])}
     assert number(gait["knee_angle", "prior"]["rom_deg"]) == 32
     assert number(gait["knee_angle", "prior"]["rom_change_deg"]) == -2, "at the compared cap alone"

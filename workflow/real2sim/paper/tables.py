@@ -44,20 +44,26 @@ CONDITIONS = {
     "own": "own parameters, simulated",
     "stiff": "stiff, simulated",
 }
+MEASURED = ("walk_normal", "walk_robot")
 JOINTS = {"hip_flexion": "hip", "knee_angle": "knee", "ankle_angle": "ankle"}
 
 
 def _over_seeds(rows: Sequence[Row], key: str) -> tuple[float, float]:
-    """Mean and SD over the seeds, NaN where there are none."""
+    """Mean and SD over the seeds, NaN where there are none.
+
+    What was measured stands beside every seed and has no spread over them.
+    """
     values = np.array([number(row[key]) for row in rows])
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
-    return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else math.nan
+    simulated = len(values) > 1 and rows[0]["condition"] not in MEASURED
+    return float(values.mean()), float(values.std(ddof=1)) if simulated else math.nan
 
 
 def _averages(rows: Sequence[Row], keys: Iterable[str], published: Row | None) -> dict[str, Any]:
-    out: dict[str, Any] = {"seeds": len({row["seed"] for row in rows})}
+    measured = bool(rows) and rows[0]["condition"] in MEASURED
+    out: dict[str, Any] = {"seeds": None if measured else len({row["seed"] for row in rows})}
     for key in keys:
         out[key], out[f"{key}_seed_sd"] = _over_seeds(rows, key)
         out[f"published_{key}"] = number(published[key]) if published else math.nan

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
 from real2sim.figures import style
-from real2sim.files import replacing
 from real2sim.identification.fit import best_of
 from real2sim.identification.parameters import as_vector
 from real2sim.identification.trial import TrialModel, trial_model, with_step
@@ -65,16 +64,7 @@ def motion_clip(
             "See quality.json.",
         )
     frames = _frames(model, simulated, shown, fit)
-    with replacing(out) as temporary:
-        frames[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=frames[1:],
-            duration=round(1000 / FRAMES_PER_S),
-            loop=0,
-            optimize=True,
-        )
+    style.save_clip(frames, out, 1 / FRAMES_PER_S)
 
 
 def _samples(model: TrialModel, seconds: float) -> np.ndarray:

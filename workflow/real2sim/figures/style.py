@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +136,20 @@ def signed(value: float, digits: int) -> str:
     """A number with a typographic minus, and none on a rounded zero."""
     text = f"{value:.{digits}f}"
     return text.removeprefix("-") if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+
+
+def save_clip(frames: Sequence[Any], out: Path, frame_s: float) -> None:
+    """Write palette pictures (PIL) as a GIF that repeats, ``frame_s`` seconds each."""
+    with replacing(out) as temporary:
+        frames[0].save(
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=round(1000 * frame_s),
+            loop=0,
+            optimize=True,
+        )
 
 
 def save(figure: Figure, out: Iterable[Path]) -> None:

@@ -13,8 +13,7 @@ from mujoco.rendering.classic import gl_context
 
 from real2sim.coupling.plant import RestPose
 from real2sim.errors import InputError
-from real2sim.figures.style import PHANTOM_LABEL
-from real2sim.files import replacing
+from real2sim.figures.style import PHANTOM_LABEL, save_clip
 from real2sim.identification.trial import load_limits
 from real2sim.tightness import read_pose
 from real2sim.twin.coupled import Condition, CoupledWalk
@@ -66,6 +65,7 @@ def dress(spec: mujoco.MjSpec, robot: Path) -> None:
     spec.add_material(name="grid", textures=textures, texrepeat=[2, 2], texuniform=True)
     floor = spec.geom("floor")
     floor.material, floor.rgba = "grid", [1, 1, 1, 1]
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.worldbody.add_light(pos=[0, -2, 4], dir=[0, 0.4, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 
 
@@ -143,13 +143,4 @@ def twin_clip(
             ImageDraw.Draw(frame).text((8, 6), PHANTOM_LABEL, fill=(190, 60, 0))
         frames.append(frame.quantize(32, dither=Image.Dither.NONE))
     renderer.close()
-    with replacing(out) as temporary:
-        frames[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=frames[1:],
-            duration=round(1000 * step * walk.control_s),
-            loop=0,
-            optimize=True,
-        )
+    save_clip(frames, out, step * walk.control_s)

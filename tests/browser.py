@@ -17,6 +17,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+# axe.min.js of axe-core, which judges the accessibility of a page
+AXE = os.environ.get("REAL2SIM_AXE", "")
+RULES = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22a", "wcag22aa")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = (
     "--headless=new",
@@ -162,3 +165,13 @@ def browser(program: str, profile: Path) -> Iterator[Page]:
         process.wait()
         os.close(to_write)
         os.close(from_read)
+
+
+def judged_by_axe(page: Page) -> tuple[int, list[list[str]]]:
+    """How many rules of level A and AA an open page passes, and those that it breaks with the place and why."""
+    page.run(Path(AXE).read_text(encoding="utf-8") + ";0")
+    passes, violations = page.run(
+        f"axe.run(document, {{runOnly: {json.dumps(RULES)}}}).then(r => "
+        "[r.passes.length, r.violations.map(v => [v.id, v.nodes[0].html, v.nodes[0].failureSummary])])"
+    )
+    return passes, violations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import copy
-import json
 import re
 from pathlib import Path
 
@@ -13,9 +12,9 @@ from real2sim.artefacts import write_json
 from real2sim.figures.person import person_page
 from real2sim.identification.parameters import PARAMETERS, unit
 from test_pages import _diagnosis, _Page
-from test_report import AXE, RULES, WIDTHS
+from test_report import WIDTHS
 
-from tests.browser import browser, chromium
+from tests.browser import AXE, browser, chromium, judged_by_axe
 
 FREE = ("k_ty", "d_tx")
 SUBJECT = """id: S07
@@ -251,11 +250,6 @@ def test_page_fits_its_window_and_complains_of_nothing(tab, whole, width):
 def test_no_rule_of_accessibility_is_broken(tab, whole, width, dark):
     tab.open(whole[0], width, dark=dark)
     tab.run("document.querySelectorAll('details').forEach(d => { d.open = true })")
-    tab.run(Path(AXE).read_text(encoding="utf-8") + ";0")
-    find = (
-        f"axe.run(document, {{runOnly: {json.dumps(RULES)}}}).then(r => "
-        "[r.passes.length, r.violations.map(v => [v.id, v.nodes[0].html])])"
-    )
-    passes, violations = tab.run(find)
+    passes, violations = judged_by_axe(tab)
     assert violations == []
     assert passes > 10, "rules were looked at"

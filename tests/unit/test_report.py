@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import re
 from pathlib import Path
 
@@ -14,11 +13,9 @@ from real2sim.figures.report import FIGURES, report_page
 from synthetic_study import REMEDY, write_study
 from test_pages import _diagnosis, _Page
 
-from tests.browser import browser, chromium
+from tests.browser import AXE, browser, chromium, judged_by_axe
 
 WIDTHS = (400, 1400)
-AXE = os.environ.get("REAL2SIM_AXE", "")
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22a", "wcag22aa"]
 
 
 def _report(folder: Path, diagnosed: bool = True, **changes) -> tuple[Path, dict]:
@@ -88,7 +85,7 @@ def test_every_part_of_the_study_is_told(report):
     assert "cannot be told" in page.text
     assert "only k_ty, d_tx are refined" in page.text
     assert "1.0 %" in page.text, "refined above full"
-    assert "Regression on mass, height and waist: needs at least 30 people, have 4" in page.text
+    assert "Regression on mass kg, height m, waist m: needs at least 30 people, have 4" in page.text
     assert "inconsistent within the paper" in page.text
 
 
@@ -210,16 +207,11 @@ def test_every_link_leads_somewhere_offline(shown, report, width):
 def test_no_rule_of_accessibility_is_broken(shown, report, width, dark):
     shown.open(report[0], width, dark=dark)
     _open_all(shown)
-    shown.run(Path(AXE).read_text(encoding="utf-8") + ";0")
-    find = (
-        f"axe.run(document, {{runOnly: {json.dumps(RULES)}}}).then(r => "
-        "[r.passes.length, r.violations.map(v => [v.id, v.nodes[0].html, v.nodes[0].failureSummary])])"
-    )
-    passes, violations = shown.run(find)
+    passes, violations = judged_by_axe(shown)
     assert violations == []
     assert passes > 10, "rules were looked at"
     shown.run("document.querySelector('table').style.color = '#999'; document.body.style.background = '#aaa'")
-    assert shown.run(find)[1], "and would have complained"
+    assert judged_by_axe(shown)[1], "and would have complained"
 
 
 def test_figure_is_enlarged_and_put_back_by_keyboard(shown):

@@ -52,9 +52,7 @@ rule diagnose:
         train=lambda wildcards, input: Path(input.train).parent,
         held_out=lambda wildcards, input: Path(input.held_out).parent,
         neutral=lambda wildcards, input: Path(input.neutral).parent,
-        known=lambda wildcards, input: (
-            ["--limits", input.limits, "--step", input.step] if input.limits else []
-        ),
+        known=lambda wildcards, input: given(limits=input.limits, step=input.step),
         settings=DIAGNOSIS_SETTINGS,
         code=code("diagnose"),
     shell:
@@ -90,7 +88,7 @@ rule diagnosis_model:
     params:
         train=lambda wildcards, input: Path(input.train).parent,
         neutral=lambda wildcards, input: Path(input.neutral).parent,
-        known=lambda wildcards, input: ["--limits", input.limits] if input.limits else [],
+        known=lambda wildcards, input: given(limits=input.limits),
         code=code("diagnosis-model"),
     shell:
         "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --train {params.train:q}"

@@ -227,7 +227,11 @@ rule report_page:
     """The study on one page that needs no other file."""
     input:
         figures=expand("results/figures/{name}.svg", name=FIGURES)
-        + expand("results/twin/{subject}/{name}.svg", subject=WALKER, name=["interface", "gait"]),
+        + expand(
+            "results/twin/{subject}/{name}.svg",
+            subject=[WALKER] if WALKER else [],
+            name=["interface", "gait"],
+        ),
         quality="results/quality/quality.csv",
         tightness="results/tightness/cohort.json",
         breakpoints=expand("results/tightness/{subject}/breakpoints.json", subject=PEOPLE),
@@ -261,7 +265,7 @@ rule report_page:
         people=json.dumps({name: person.cohort for name, person in PEOPLE.items()}),
         title="Real2Sim calibration of the pelvis-strap interface",
         fits=lambda wildcards, input: braced(input.fits),
-        bars=lambda wildcards, input: ["--bars", *input.bars] if input.bars else [],
+        bars=lambda wildcards, input: given(bars=input.bars),
         code=code("report-page"),
     shell:
         "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"

@@ -34,7 +34,7 @@ from real2sim.geometry import (
     rotation_matrix,
 )
 from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.trial import Trial, load_limits, load_trial
+from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs
 
 # What a channel is never trusted beyond: markers [m], base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
@@ -106,21 +106,13 @@ class Evidence:
         if h not in self.drives:
             rotation, position = trial.pelvis_rotation, trial.pelvis_position
             self.drives[h] = pelvis_drive(trial.time_s, rotation, position, h)
+        settings = self.settings | {"plant": self.settings["plant"] | {"timestep_s": h}}
         steps = trial.time_s[0] + h * np.arange(len(self.drives[h].position))
         return EffectReplay(
             effects=effects,
             context=replace(self.context, step_time_s=steps),
             scales=self.scales,
-            robot=self.robot_file,
-            robot_settings=self.settings["robot"],
-            plant_settings=self.settings["plant"] | {"timestep_s": h},
-            time_s=trial.time_s,
-            pelvis_rotation=trial.pelvis_rotation,
-            pelvis_position=trial.pelvis_position,
-            start_rotation=trial.start_rotation,
-            start_position=trial.start_position,
-            rest=trial.rest,
-            limits=self.limits,
+            **replay_inputs(trial, self.limits, self.robot_file, settings),
             nsim=nsim,
             drive=self.drives[h],
         )

@@ -420,7 +420,7 @@ def _which(d: Mapping[str, Any]) -> str:
     ranked = table(
         ["Cause", "Probability", "Gap closed", "J held out"],
         rows,
-        caption="Ranked causes. Each was refitted on the training trial together with the 12 parameters and judged on "
+        caption="Ranked causes. Each was refitted on the training trial together with the parameters and judged on "
         "the held-out trial. Effects refitted together share the probability of their set. Gap closed: share of J "
         "above the noise floor, with its 95 % interval; more than 100 % is J below the mean of noise.",
         numeric=(2, 3),
@@ -670,18 +670,18 @@ def _parameters(d: Mapping[str, Any]) -> str:
     values = table(
         head if not same else ["Parameter", "Plain", "Unit"],
         rows,
-        caption="The 12 parameters of the interface, fitted on the training trial",
+        caption="The parameters of the interface, fitted on the training trial",
         numeric=(1, 2, 3) if not same else (1,),
     )
     if same:
         return section(
             "parameters",
-            "The 12 parameters",
+            "The parameters",
             paragraph("No effect was added, so none of them moves."),
             values,
         )
     return section(
-        "parameters", "How the 12 parameters move", '<div class="grid">', _ratio_figure(d), values, "</div>"
+        "parameters", "How the parameters move", '<div class="grid">', _ratio_figure(d), values, "</div>"
     )
 
 

@@ -160,14 +160,14 @@ def _notices(study: Person) -> list[str]:
 def _lead(study: Person) -> str:
     refined = study.refined
     if refined["status"] != OK:
-        return "All 12 parameters are the point prior."
+        return f"All {len(PARAMETERS)} parameters are the point prior."
     n, trials = len(refined["free"]), len(refined["trials"])
     before, after = _mean(refined, "prior"), _mean(refined, "refined")
     floor = refined["noise_floor"]["J"]
     return (
-        f"{n} of 12 parameters are refined on {trials} dynamic trial{'s' if trials > 1 else ''}, the others are"
-        f" the prior's. J falls from {rounded(before)} at the prior to {rounded(after)}, {rounded(after / floor)} times"
-        f" what noise alone costs ({rounded(floor)})."
+        f"{n} of {len(PARAMETERS)} parameters are refined on {trials} dynamic trial{'s' if trials > 1 else ''}, the"
+        f" others are the prior's. J falls from {rounded(before)} at the prior to {rounded(after)},"
+        f" {rounded(after / floor)} times what noise alone costs ({rounded(floor)})."
     )
 
 
@@ -279,9 +279,9 @@ def _parameters(study: Person) -> str:
             cells += _judged(trial, name)
         rows.append(cells)
     caption = (
-        "The 12 parameters, relative as long as no force was measured. Value: of all trials together. Trials: their own"
-        " refinement with its 95 % interval, the fixed parameters taken for known. Rotation about y is informed only"
-        " through the arm's pitch."
+        f"The {len(PARAMETERS)} parameters, relative as long as no force was measured. Value: of all trials together."
+        " Trials: their own refinement with its 95 % interval, the fixed parameters taken for known. Rotation about y is"
+        " informed only through the arm's pitch."
     )
     numeric = (2, 3, 4, *range(6, len(head), 2))
     return section(

@@ -751,12 +751,15 @@ def _refinements(study: Study) -> str:
 
 
 def _regression(study: Study) -> str:
-    """Do mass, height and waist predict a parameter, or how many people it takes to ask."""
+    """Does the body predict a parameter, or how many people it takes to ask."""
+    body = _listed(
+        [_words(name) for name in dict.fromkeys(row["predictor"] for row in study.anthropometrics)]
+    )
     states = Counter(row["status"] for row in study.anthropometrics)
     told = "; ".join(status for status in states if status != "ok")
     known = [row for row in study.anthropometrics if row["status"] == "ok"]
     if not known:
-        return paragraph(f"Regression on mass, height and waist: {told or 'none asked for'}.")
+        return paragraph(f"Regression on {body}: {told or 'none asked for'}.")
     rows = [
         [
             escape(row["parameter"]),
@@ -770,7 +773,7 @@ def _regression(study: Study) -> str:
     return table(
         ["Parameter", "Predictor", "Exponent", "95 % interval", "p (Holm)"],
         rows,
-        caption="By which power of mass, height and waist a parameter grows",
+        caption=f"By which power of {body} a parameter grows",
         numeric=(2, 4),
     )
 

@@ -12,8 +12,8 @@ from matplotlib.patches import Ellipse
 
 from real2sim.artefacts import read_json
 from real2sim.figures import style
+from real2sim.twin.adaptation import JOINT_NAMES
 
-JOINTS = {"hip_flexion": "hip", "knee_angle": "knee", "ankle_angle": "ankle"}
 CONDITIONS = {"soft": style.SKY, "prior": style.VERMILION, "stiff": style.PURPLE, "own": style.GREEN}
 _WALKS = {"walk_normal": "no robot", "walk_robot": "with robot"}
 _PHASE = np.linspace(0, 100, 101)
@@ -73,7 +73,7 @@ def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
         figure = style.new_figure(6.4, phantom=any(r["phantom"] for r in records))
         grid = figure.add_gridspec(4, 2, height_ratios=(1, 1, 1, 0.95))
         top = None
-        for row, (joint, name) in enumerate(JOINTS.items()):
+        for row, (joint, name) in enumerate(JOINT_NAMES.items()):
             real = figure.add_subplot(grid[row, 0], sharex=top)
             simulated = figure.add_subplot(grid[row, 1], sharex=real, sharey=real)
             top = top or real
@@ -92,7 +92,7 @@ def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
                     axes.legend(
                         ncols=1 if axes is real else 2, columnspacing=0.8, loc="upper center", borderaxespad=0
                     )
-                if row == len(JOINTS) - 1:
+                if row == len(JOINT_NAMES) - 1:
                     axes.set_xlabel("gait cycle (%)")
             style.panel_letter(real, "ace"[row], f"{name}, measured")
             style.panel_letter(simulated, "bdf"[row], f"{name}, simulated")
@@ -129,7 +129,7 @@ def _clouds(axes: Axes, record: dict[str, Any]) -> None:
 def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
     """Change of the range of motion by the robot, one point per seed."""
     names = [c["name"] for c in _main_conditions(records[0])]
-    for row, joint in enumerate(JOINTS):
+    for row, joint in enumerate(JOINT_NAMES):
         for k, name in enumerate(names):
             values = []
             for record in records:
@@ -147,7 +147,7 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
             )
             axes.plot([change, change], [row - 0.4, row + 0.4], color=style.BLUE, linewidth=1.2)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
-    axes.set_yticks(range(len(JOINTS)), list(JOINTS.values()))
+    axes.set_yticks(range(len(JOINT_NAMES)), list(JOINT_NAMES.values()))
     axes.invert_yaxis()
     axes.set_xlabel(
         "change of range of motion by the robot (deg)\npoint: a seed of the simulation, line: measured"

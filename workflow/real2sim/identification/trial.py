@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -129,6 +130,22 @@ class TrialModel:
         return np.concatenate([self.cost(self.replay.run(part)).total for part in parts])
 
 
+def replay_inputs(trial: Trial, limits: JointLimits | None, robot: Path, settings: dict) -> dict[str, Any]:
+    """What every kind of `Replay` takes of a trial; ``settings`` has the slices ``plant`` and ``robot``."""
+    return {
+        "robot": robot,
+        "robot_settings": settings["robot"],
+        "plant_settings": settings["plant"],
+        "time_s": trial.time_s,
+        "pelvis_rotation": trial.pelvis_rotation,
+        "pelvis_position": trial.pelvis_position,
+        "start_rotation": trial.start_rotation,
+        "start_position": trial.start_position,
+        "rest": trial.rest,
+        "limits": limits,
+    }
+
+
 def replay_of(
     trial: Trial,
     limits: JointLimits | None,
@@ -139,22 +156,8 @@ def replay_of(
     scale: dict[str, float] | None = None,
     threads: int = 1,
 ) -> Replay:
-    """Replay of a trial; ``settings`` has the slices ``plant`` and ``robot``, the rest is as in `Replay`."""
-    return Replay(
-        robot=robot,
-        robot_settings=settings["robot"],
-        plant_settings=settings["plant"],
-        time_s=trial.time_s,
-        pelvis_rotation=trial.pelvis_rotation,
-        pelvis_position=trial.pelvis_position,
-        start_rotation=trial.start_rotation,
-        start_position=trial.start_position,
-        rest=trial.rest,
-        limits=limits,
-        nsim=nsim,
-        scale=scale,
-        threads=threads,
-    )
+    """Replay of a trial, see `replay_inputs`; the rest is as in `Replay`."""
+    return Replay(**replay_inputs(trial, limits, robot, settings), nsim=nsim, scale=scale, threads=threads)
 
 
 def trial_model(

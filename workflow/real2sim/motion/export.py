@@ -28,7 +28,7 @@ from real2sim.files import replacing
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, quaternion
 from real2sim.identification.fit import best_of
 from real2sim.identification.parameters import as_vector
-from real2sim.identification.trial import Trial, load_limits, load_trial, with_step
+from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs, with_step
 from real2sim.motion.replayed import MotionReplay, Replayed, strap_wrench
 from real2sim.motion.scene import (
     Message,
@@ -133,19 +133,7 @@ def export_motion(
         pose, markers, start_window_s=ident["start_window_s"], settle_s=ident["settle_after_gap_s"]
     )
     bounds = load_limits(limits)
-    replay = MotionReplay(
-        robot=robot,
-        robot_settings=settings["robot"],
-        plant_settings=settings["plant"],
-        time_s=recorded.time_s,
-        pelvis_rotation=recorded.pelvis_rotation,
-        pelvis_position=recorded.pelvis_position,
-        start_rotation=recorded.start_rotation,
-        start_position=recorded.start_position,
-        rest=recorded.rest,
-        limits=bounds,
-        nsim=1,
-    )
+    replay = MotionReplay(**replay_inputs(recorded, bounds, robot, settings), nsim=1)
     view = _View(
         recorded,
         _Table.read(pose),

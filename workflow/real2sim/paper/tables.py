@@ -1,4 +1,4 @@
-"""The paper's tables by their numbers, our figures beside the published ones, as CSV and LaTeX."""
+"""The paper's tables and figures by their numbers: ours beside the published ones."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from real2sim.artefacts import number, read_table, write_table
 from real2sim.files import replacing, write_text
 from real2sim.paper.latex import latex_table
+from real2sim.twin.adaptation import JOINT_NAMES
 
 Row = dict[str, str]
 
@@ -45,7 +46,6 @@ CONDITIONS = {
     "stiff": "stiff, simulated",
 }
 MEASURED = ("walk_normal", "walk_robot")
-JOINTS = {"hip_flexion": "hip", "knee_angle": "knee", "ankle_angle": "ankle"}
 
 
 def _over_seeds(rows: Sequence[Row], key: str) -> tuple[float, float]:
@@ -93,7 +93,7 @@ def gait_rows(rows: Sequence[Row], published: Sequence[Row], phantom: bool) -> l
     """Table III: range of motion and peak by joint and condition, mean over seeds."""
     theirs = {(row["joint"], row["condition"]): row for row in published}
     out = []
-    for joint in JOINTS:
+    for joint in JOINT_NAMES:
         for name in CONDITIONS:
             mine = [row for row in rows if (row["joint"], row["condition"]) == (joint, name)]
             if mine or (joint, name) in theirs:
@@ -221,7 +221,7 @@ def _interface_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) 
 def _gait_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) -> str:
     printed = [
         [
-            JOINTS[row["joint"]],
+            JOINT_NAMES[row["joint"]],
             CONDITIONS[row["condition"]],
             _with_sd(row, "rom_deg"),
             _text(row["published_rom_deg"]),

@@ -13,6 +13,7 @@ from real2sim.twin.coupled import Recording
 from real2sim.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides
 from real2sim.twin.human import FEET
 
+JOINT_NAMES = dict(zip(SAGITTAL, ("hip", "knee", "ankle"), strict=True))
 CYCLE = 101  # samples of a normalised cycle, 0-100 %
 DRAWN = 300  # samples of a cloud that a figure shows, at most
 

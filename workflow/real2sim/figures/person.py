@@ -280,8 +280,8 @@ def _parameters(study: Person) -> str:
         rows.append(cells)
     caption = (
         f"The {len(PARAMETERS)} parameters, relative as long as no force was measured. Value: of all trials together."
-        " Trials: their own refinement with its 95 % interval, the fixed parameters taken for known. Rotation about y is"
-        " informed only through the arm's pitch."
+        " Trials: their own refinement with its 95 % interval, the fixed parameters taken for known. Rotation about y"
+        " is informed only through the arm's pitch."
     )
     numeric = (2, 3, 4, *range(6, len(head), 2))
     return section(

@@ -229,6 +229,15 @@ class OneAxisEvidence:
         """A replay of this trial with effects."""
         return (MovedReplay if self._moved else OneAxisReplay)(self, effects, nsim)
 
+    @property
+    def samples(self) -> int:
+        """Number of whitened residuals."""
+        return len(self.record.position) if not self._moved else int(self._band.sum())
+
+    def j(self, paths: np.ndarray) -> np.ndarray:
+        """Mean square (m,) of the plain residuals, in place of J."""
+        return np.mean((paths[:, :, 0, 0] - self.record.position) ** 2, axis=1)
+
     def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
         """Residuals (m, n_r) whose squares sum to chi-squared."""
         if not self._moved:

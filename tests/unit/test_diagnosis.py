@@ -11,6 +11,7 @@ import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
+from real2sim.diagnosis.evidence import drawn_together
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 
@@ -201,6 +202,11 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         "gap": {"J_base": 2.0, "J_floor": 1.0, "J_with_effect": 1.0},
         "parameters": {"k_tx": {"base": 800.0, "with_effect": 710.0}},
         "baselines": {"AIC": verdict},
+        "considered": [
+            {"effects": ["slack"], "J_held_out": 1.2},
+            {"effects": ["slack"], "J_held_out": 1.1},
+            {"effects": ["slack", "tilt"], "J_held_out": 0.9},
+        ],
     }
     target = folder / name / "diagnosis.json"
     target.parent.mkdir()
@@ -241,6 +247,32 @@ def test_two_causes_that_are_sure_together_need_no_further_trial():
     assert next_trial(decision) is None
 
 
+def test_a_set_shares_its_probability_by_what_each_effect_earns():
+    plain = Candidate((), 0, (90000.0, 80000.0))
+    sets = [
+        Candidate(("tilt", "slack"), 3, (1010.0, 1020.0)),
+        Candidate(("slack",), 1, (3000.0, 2000.0)),
+        Candidate(("tilt",), 2, (70000.0, 50000.0)),
+    ]
+    decision = decide(plain, sets, (1000, 1000), CALIBRATION | {"second_effect": 100.0})
+    assert decision.chosen == 0
+    assert decision.verdict == "slack"
+    # without slack 34495 + 48980 more are left, without tilt 995 + 980
+    share = decision.probabilities["tilt"] / decision.probabilities["slack"]
+    assert share == pytest.approx(1975 / 83475, rel=1e-6)
+
+
+def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is_not():
+    rng = np.random.default_rng(1)
+    freedom = 48.0
+    alike = 0.5e-3**2 * rng.chisquare(freedom, 18) / freedom
+    known = drawn_together(alike, freedom)
+    assert np.abs(np.log(known / 0.5e-3**2)).max() < 0.1
+    assert np.abs(np.log(alike / 0.5e-3**2)).max() > 0.3
+    unlike = alike * np.repeat([1.0, 100.0], 9)
+    assert np.abs(np.log(drawn_together(unlike, freedom) / unlike)).max() < 0.05
+
+
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     made = [
         _case("C0001", "in_library", ["slack"], "slack", tmp_path),
@@ -276,6 +308,11 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     # large and fast: said and so; small and fast: so, but not said; large and slow: said of one case, but not so
     assert claims["where: regime F1"]["n"] == 2
     assert claims["where: regime F1"]["value"] == pytest.approx(2 * 2 / (3 + 4))
+    # the oracle of slack is the better of its two refits; coulomb was never refitted, and the floor stands for it
+    assert claims["gap closed on the held-out regime, median"]["value"] == pytest.approx(
+        np.mean([1 / 0.9, 1.0])
+    )
+    assert claims["gap closed of what lies above the estimated floor, median"]["met"] is None
     effects = {row["effect"]: row for row in score["per_effect"]}
     assert effects["slack"]["smallest_rho"] == 0.2
     assert effects["slack"]["smallest_severity"] == 0.3

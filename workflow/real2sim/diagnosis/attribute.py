@@ -18,6 +18,8 @@ from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares
 from real2sim.identification.parameters import Bounds
 
+# A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
+KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
 # Longest step in ln or searched numbers that the screening believes
@@ -111,17 +113,20 @@ class Search:
         self.evaluations = 0
         self._r0, self._j0 = np.empty(0), np.empty((0, 12))
 
-    def fit(self, effects: Sequence[Placed], start: np.ndarray) -> Hypothesis:
-        """Refit on the training trial and evaluate on the held-out one."""
+    def fit(self, effects: Sequence[Placed], start: np.ndarray, final: bool = False) -> Hypothesis:
+        """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged."""
         residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
-        z, _ = refit(residuals, start, iterations=self._settings["iterations"], ftol=self._settings["ftol"])
+        kind = "final_" if final else ""
+        iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
+        z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP)
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds)
-        pair = np.array([residuals.chi2(z), held_out.chi2(z)])
+        judged = np.array([residuals.judged(z), held_out.judged(z)])
         # what cannot be simulated explains nothing
-        chi2 = tuple(np.where(np.isfinite(pair), pair, FAILED).tolist())
+        judged = np.where(np.isfinite(judged), judged, FAILED)
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
-        return Hypothesis(tuple(effects), z, (chi2[0], chi2[1]), count)
+        (train, _), (other, j) = judged.tolist()
+        return Hypothesis(tuple(effects), z, (train, other), j, count)
 
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
@@ -216,10 +221,8 @@ def attribute(
     are the effects to try, everything everywhere by default.
     """
     search = Search(pair, settings)
-    plain = search.fit((), start)
-    count = [
-        len(JointResiduals(e, (), pair.bounds).many(plain.z[None])[0]) for e in (pair.train, pair.held_out)
-    ]
+    plain = search.fit((), start, final=True)
+    count = [e.samples for e in (pair.train, pair.held_out)]
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
     singles = search.screen(plain, candidates(pair.train.scales) if places is None else places)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
@@ -231,6 +234,7 @@ def attribute(
     if excess > settings["pair_excess_sigma"]:
         hypotheses += _pairs(search, plain, singles, hypotheses, settings)
         hypotheses += _grow(search, hypotheses, singles, sum(count), settings, progress)
+        hypotheses += _pruned(search, hypotheses)
     return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
 
 
@@ -261,6 +265,9 @@ def _pairs(
     options = search.pairs(plain, singles[: settings["pair_pool"]], settings["pair_refits"])
     places = [s.effects[-1] for s in singles[: settings["pair_pool"]] if s.effects[-1].key != best.key]
     options += search.screen(best, places)[: settings["pair_refits"]]
+    # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
+    for single in _first_of_each(found)[: settings["spread_refits"]]:
+        options += search.screen(single, _elsewhere(single, singles))[:1]
     out, seen = [], set()
     for option in options:
         key = frozenset(placed.key for placed in option.effects)
@@ -268,6 +275,39 @@ def _pairs(
             seen.add(key)
             out.append(search.fit(option.effects, option.start))
     return sorted(out, key=lambda h: sum(h.chi2))
+
+
+def _first_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best single hypothesis of every effect, in the order of ``found``."""
+    return list({h.names[0]: h for h in reversed(found)}.values())[::-1]
+
+
+def _elsewhere(single: Hypothesis, screened: Sequence[Screened]) -> list[Placed]:
+    """Screened places of a single hypothesis' effect on other axes, in the same form."""
+    effect, axes = single.effects[0].effect, set(single.effects[0].where.axes)
+    places = [s.effects[-1] for s in screened]
+    return [p for p in places if p.effect is effect and axes.isdisjoint(p.where.axes) and axes]
+
+
+def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best set with each of its members left out: what was added first may have stood for what came later."""
+    best = min(found, key=lambda h: sum(h.chi2))
+    tried = {frozenset(placed.key for placed in h.effects) for h in found}
+    out = []
+    for left_out in range(len(best.effects) if len(best.effects) > 2 else 0):
+        keep = [i for i in range(len(best.effects)) if i != left_out]
+        effects = tuple(best.effects[i] for i in keep)
+        if frozenset(placed.key for placed in effects) not in tried:
+            parts = best.split()
+            out.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
+    return out
+
+
+def finished(pair: Pair, hypothesis: Hypothesis, settings: dict) -> Hypothesis:
+    """A hypothesis refitted until it converged; the old one where that did not help the training trial."""
+    search = Search(pair, settings)
+    again = search.fit(hypothesis.effects, hypothesis.z, final=True)
+    return again if again.chi2[0] <= hypothesis.chi2[0] else hypothesis
 
 
 def _grow(

@@ -94,9 +94,11 @@ def decide(
     p = np.exp(z - z.max())
     p /= p.sum()
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
-    for candidate, share in zip(candidates, p, strict=False):
-        for name in candidate.names:
-            probabilities[name] += float(share) / len(candidate.names)
+    for candidate, of_set in zip(candidates, p, strict=False):
+        for name, part in zip(
+            candidate.names, _earned(candidate, plain, candidates, calibration), strict=True
+        ):
+            probabilities[name] += float(of_set * part)
     probabilities[NONE], probabilities[UNKNOWN] = float(p[-2]), float(p[-1])
     sets = p[: len(candidates)]
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
@@ -107,6 +109,27 @@ def decide(
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
     return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+
+
+def _earned(
+    candidate: Candidate, plain: Candidate, candidates: Sequence[Candidate], c: Mapping[str, float]
+) -> np.ndarray:
+    """Shares (names,) of a set's probability, by what the set loses when it has to do without each effect.
+
+    What would be left then is read off the best fit that has only the others; effects that earn alike share alike.
+    """
+    if len(candidate.names) == 1:
+        return np.ones(1)
+
+    def left(x: Candidate) -> float:
+        return c["train_weight"] * x.chi2[0] + x.chi2[1]
+
+    lost = []
+    for name in candidate.names:
+        others = set(candidate.names) - {name}
+        without = min(left(x) for x in (plain, *candidates) if set(x.names) <= others)
+        lost.append(max(without - left(candidate), 1.0))
+    return np.array(lost) / sum(lost)
 
 
 def _group(names: Sequence[str], verdict: str, probabilities: Mapping[str, float]) -> tuple[str, ...]:

@@ -45,6 +45,8 @@ LOWEST_CUTOFF_HZ = 3.0
 SMALLEST_NOISE_M = 2e-5
 # A spike stands out of what is faster than the cut-off by so many SD; the low-pass of the ingest smears it so far
 SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_SMEAR_S = 4.0, 7.0, 0.08
+# Where standing still shows the markers' noise
+NOISE_BAND_HZ = (3.0, 7.0)
 # Band edges [Hz] within which the noise is taken as equal
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
 
@@ -98,6 +100,11 @@ class Evidence:
     def channels(self) -> int:
         """Six of the markers, and six of the robot where it was logged."""
         return 6 if self.robot is None else 12
+
+    @property
+    def samples(self) -> int:
+        """Number of whitened residuals."""
+        return self._last(len(self.trial.time_s)) * self.channels
 
     def replay(self, effects: list, nsim: int) -> EffectReplay:
         """A replay of this trial with effects, at a fraction of the time step where one of them needs it."""
@@ -156,6 +163,10 @@ class Evidence:
         duration = n * float(self.trial.time_s[1] - self.trial.time_s[0])
         frequency = np.arange(self._last(n)) / (2 * duration)
         return np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")
+
+    def j(self, paths: np.ndarray) -> np.ndarray:
+        """J of the paper (m,) of simulated marker paths (m, n, 2, 3)."""
+        return np.asarray(self.cost(paths).total)
 
     def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
         """Residuals (m, n_r) whose squares sum to chi-squared; NaN where a simulation failed."""
@@ -388,13 +399,30 @@ def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
     """SD (3,) [m] per marker of the white noise that quiet standing shows between 3 and 7 Hz.
 
     Below, the person sways; above, nobody knows who has filtered the export already. ``markers`` is markers.parquet
-    of the neutral trial. Welch's windows keep the sway from leaking upward.
+    of the neutral trial. Welch's windows keep the sway from leaking upward. Some seconds of a band tell a variance to a
+    fifth, so each is drawn to the mean of all, the more, the less they differ beyond that.
     """
     table = pq.read_table(markers)
-    out = {}
-    for name in (*PELVIS_MARKERS, *INTERFACE_MARKERS):
+    names = (*PELVIS_MARKERS, *INTERFACE_MARKERS)
+    variance = np.empty((len(names), 3))
+    for i, name in enumerate(names):
         path = bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
         frequency, power = welch(path, rate_hz, nperseg=min(len(path), 256), axis=0, detrend="linear")
-        inside = (frequency > 3) & (frequency < 7)
-        out[name] = np.sqrt(np.maximum(power[inside].mean(axis=0) * rate_hz / 2, SMALLEST_NOISE_M**2))
-    return out
+        inside = (frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])
+        variance[i] = np.maximum(power[inside].mean(axis=0) * rate_hz / 2, SMALLEST_NOISE_M**2)
+    duration = len(table) / rate_hz
+    known = drawn_together(variance, 2 * duration * (NOISE_BAND_HZ[1] - NOISE_BAND_HZ[0]))
+    return {name: np.sqrt(row) for name, row in zip(names, known, strict=True)}
+
+
+def drawn_together(variance: np.ndarray, freedom: float) -> np.ndarray:
+    """Variances, each estimated with ``freedom`` degrees of freedom, drawn to their common mean (James & Stein 1961).
+
+    In logarithms, whose sampling variance 2 / freedom is known. What the estimates scatter beyond it is real.
+    """
+    log = np.log(variance)
+    chance = 2 / freedom
+    # the mean of a logarithm is a little below the logarithm of the mean
+    mean = log.mean() + chance / 2
+    real = max(float(log.var(ddof=1)) - chance, 0.0)
+    return np.asarray(np.exp(mean + real / (real + chance) * (log - log.mean())))

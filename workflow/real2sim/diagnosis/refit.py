@@ -19,12 +19,14 @@ BATCH = 16
 class Hypothesis:
     """Effects with fitted values: ``z`` (12 + p,) ln-parameters and searched numbers, chi-squared of both trials.
 
-    ``chi2`` are those of the training and the held-out trial; ``evaluations`` counts replays.
+    ``chi2`` are those of the training and the held-out trial, ``j_held_out`` is J of the held-out trial;
+    ``evaluations`` counts replays.
     """
 
     effects: tuple[Placed, ...]
     z: np.ndarray
     chi2: tuple[float, float]
+    j_held_out: float = np.nan
     evaluations: int = 0
 
     @property
@@ -61,7 +63,9 @@ class JointResiduals(least_squares.Residuals):
             lower.append(low)
             upper.append(high)
         self.lower, self.upper = np.concatenate(lower), np.concatenate(upper)
-        self.prior_sd = np.concatenate([np.full(12, np.inf), *(placed.prior_sd() for placed in effects)])
+        middle, spread = _strap_prior(bounds)
+        self.prior_mean = np.concatenate([middle, np.zeros(len(self.lower) - 12)])
+        self.prior_sd = np.concatenate([spread, *(placed.prior_sd() for placed in effects)])
         self.evaluations = 0
 
     def many(self, z: np.ndarray) -> np.ndarray:
@@ -69,23 +73,41 @@ class JointResiduals(least_squares.Residuals):
         self.evaluations += len(z)
         return np.concatenate([self._some(z[i : i + BATCH]) for i in range(0, len(z), BATCH)])
 
-    def _some(self, z: np.ndarray) -> np.ndarray:
-        paths, joints = self._replay.run_effects(np.exp(z[:, :12]), split(self.effects, z[:, 12:]))
-        rows = self._evidence.whitened(paths, joints)
-        held = np.isfinite(self.prior_sd)
-        return np.hstack([rows, z[:, held] / self.prior_sd[held]])
+    def _run(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._replay.run_effects(np.exp(z[:, :12]), split(self.effects, z[:, 12:]))
 
-    def chi2(self, z: np.ndarray) -> float:
-        """Sum of squares of the data's residuals alone at a point (12 + p,)."""
-        row = self.many(z[None])[0]
-        data = row[: len(row) - int(np.isfinite(self.prior_sd).sum())]
-        return float(data @ data)
+    def _some(self, z: np.ndarray) -> np.ndarray:
+        rows = self._evidence.whitened(*self._run(z))
+        held = np.isfinite(self.prior_sd)
+        return np.hstack([rows, (z - self.prior_mean)[:, held] / self.prior_sd[held]])
+
+    def judged(self, z: np.ndarray) -> tuple[float, float]:
+        """Sum of squares of the data's residuals alone, and J, at a point (12 + p,)."""
+        self.evaluations += 1
+        paths, joints = self._run(z[None])
+        row = self._evidence.whitened(paths, joints)[0]
+        return float(row @ row), float(self._evidence.j(paths)[0])
+
+
+def _strap_prior(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and SD (12,) of the ln-parameters before any data: the search bounds are its two sigma.
+
+    It is nothing beside a trial that moves an axis; a parameter that the trial says nothing about stays in the middle
+    instead of wandering to wherever the noise pushes it.
+    """
+    lower, upper = np.log(bounds.lower), np.log(bounds.upper)
+    return (lower + upper) / 2, np.maximum((upper - lower) / 4, 1e-3)
 
 
 def refit(
-    residuals: JointResiduals, start: np.ndarray, *, iterations: int, ftol: float
+    residuals: JointResiduals, start: np.ndarray, *, iterations: int, ftol: float, keep: float = 0.0
 ) -> tuple[np.ndarray, float]:
-    """Best point (12 + p,) from a start and its cost, all coordinates free but those whose bounds coincide."""
+    """Best point (12 + p,) from a start and its cost, all coordinates free but those whose bounds coincide.
+
+    ``keep``: see `least_squares.minimise`.
+    """
     free = np.flatnonzero(residuals.upper - residuals.lower > 0.05)
-    z, cost, _, _ = least_squares.minimise(residuals, start, free, iterations=iterations, ftol=ftol)
+    z, cost, _, _ = least_squares.minimise(
+        residuals, start, free, iterations=iterations, ftol=ftol, keep=keep
+    )
     return z, cost

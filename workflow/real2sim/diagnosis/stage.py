@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
-from real2sim.diagnosis.attribute import Attribution, Pair, attribute, plain_fit
+from real2sim.diagnosis.attribute import Attribution, Pair, attribute, finished, plain_fit
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
 from real2sim.diagnosis.export import described
@@ -109,8 +109,7 @@ def diagnose(
         train=train, held_out=held_out, neutral=neutral, limits=limits, robot=robot, settings=settings
     )
     attribution = attribute(pair, z, settings["diagnosis"]["search"], progress)
-    plain, sets = candidates_of(attribution)
-    decision = decide(plain, sets, attribution.samples, settings["diagnosis"]["calibration"])
+    decision = _decided(pair, attribution, settings["diagnosis"])
     progress(f"verdict {decision.verdict}")
     if traces is not None:
         _write_traces(traces, pair.held_out, attribution, decision)
@@ -137,6 +136,21 @@ def diagnose(
             ),
         },
     )
+
+
+def _decided(pair: Pair, attribution: Attribution, options: dict) -> Decision:
+    """The decision, once the sets that it rests on have converged. Changes those hypotheses in place."""
+    converged: set[int] = set()
+    while True:
+        plain, sets = candidates_of(attribution)
+        decision = decide(plain, sets, attribution.samples, options["calibration"])
+        likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
+        known = decision.verdict == NONE or likeliest in converged | {-1}
+        if known or len(converged) == options["search"]["final_refits"]:
+            return decision
+        converged.add(likeliest)
+        hypothesis = attribution.hypotheses[likeliest]
+        attribution.hypotheses[likeliest] = finished(pair, hypothesis, options["search"])
 
 
 def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
@@ -219,6 +233,7 @@ def _considered(attribution: Attribution, decision: Decision) -> list[dict[str, 
             "places": [placed.key for placed in h.effects],
             "parameters": len(h.z) - 12,
             "chi2": list(h.chi2),
+            "J_held_out": h.j_held_out,
             "probability": float(probability),
         }
         for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)

@@ -79,8 +79,9 @@ def _missing(what: str) -> str:
 
 
 def _lead(s: Mapping[str, Any]) -> str:
-    missed = [t["claim"] for t in s["targets"] if not t["met"]]
-    total = len(s["targets"])
+    judged = [t for t in s["targets"] if t["met"] is not None]
+    missed = [t["claim"] for t in judged if not t["met"]]
+    total = len(judged)
     if not total:
         text = f"{s['cases']} cases were scored against no targets."
     elif missed:
@@ -104,13 +105,20 @@ def _between(ci: Sequence[float] | None, target: str) -> str:
     return _DASH if ci is None else f"[{_amount(ci[0], target)}, {_amount(ci[1], target)}]"
 
 
+def _verdict(met: bool | None) -> str:
+    """Met, missed, or a dash for a figure that has no target."""
+    if met is None:
+        return _DASH
+    if met:
+        return '<span class="met">\N{CHECK MARK} met</span>'
+    return '<span class="missed">\N{MULTIPLICATION SIGN} missed</span>'
+
+
 def _targets(s: Mapping[str, Any]) -> str:
     rows = [
         [
             escape(t["claim"]),
-            '<span class="met">\N{CHECK MARK} met</span>'
-            if t["met"]
-            else '<span class="missed">\N{MULTIPLICATION SIGN} missed</span>',
+            _verdict(t["met"]),
             _amount(t["value"], t["target"]),
             escape(t["target"]),
             _between(t["wilson95"], t["target"]),

@@ -17,6 +17,8 @@ from real2sim.identification.result import SearchResult
 
 # Finite-difference step in ln-parameters: truncation and round-off of a replay balance over a wide range around it
 STEP = 1e-4
+# Residual that stands for each one of a simulation that failed
+_FAILED = 1e3
 
 
 class Residuals:
@@ -48,53 +50,90 @@ class Residuals:
         Where the neighbour of a simulation fails, the other neighbour is asked; where both fail, the column is zero and
         the search leaves that parameter alone.
         """
+        points, step = self._neighbours(z, free)
+        out = self.many(np.vstack([z, points]))
+        return out[0], self._slopes(z, free, out[0], out[1:], step)
+
+    def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """As `with_jacobian`, where the residuals ``r`` (n_r,) at z are known."""
+        points, step = self._neighbours(z, free)
+        return self._slopes(z, free, r, self.many(points), step)
+
+    def _neighbours(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         step = np.where(z + STEP > self.upper, -STEP, STEP)[free]
-        points = np.tile(z, (len(free) + 1, 1))
-        points[np.arange(1, len(free) + 1), free] += step
-        out = self.many(points)
-        failed = ~np.isfinite(out[1:]).all(axis=1)
-        if np.isfinite(out[0]).all() and failed.any():
+        points = np.tile(z, (len(free), 1))
+        points[np.arange(len(free)), free] += step
+        return points, step
+
+    def _slopes(
+        self, z: np.ndarray, free: np.ndarray, r: np.ndarray, out: np.ndarray, step: np.ndarray
+    ) -> np.ndarray:
+        failed = ~np.isfinite(out).all(axis=1)
+        if np.isfinite(r).all() and failed.any():
             other = np.tile(z, (int(failed.sum()), 1))
             other[np.arange(len(other)), free[failed]] -= step[failed]
-            out[1:][failed], step[failed] = self.many(other), -step[failed]
-            out[1:] = np.where(np.isfinite(out[1:]).all(axis=1)[:, None], out[1:], out[0])
-        return out[0], ((out[1:] - out[0]) / step[:, None]).T
+            out[failed], step[failed] = self.many(other), -step[failed]
+            out = np.where(np.isfinite(out).all(axis=1)[:, None], out, r)
+        return ((out - r) / step[:, None]).T
 
 
 def minimise(
-    residuals: Residuals, start: np.ndarray, free: np.ndarray, *, iterations: int, ftol: float
+    residuals: Residuals,
+    start: np.ndarray,
+    free: np.ndarray,
+    *,
+    iterations: int,
+    ftol: float,
+    keep: float = 0.0,
 ) -> tuple[np.ndarray, float, list[tuple[int, float]], int]:
     """Trust-region search from ln-parameters (12,), of which those listed in ``free`` move.
 
-    Returns the best point, its cost, (evaluations, best cost) per iteration and scipy's status.
+    As long as a step's residuals are foretold by the Jacobian to a share ``keep`` of what they change, the Jacobian is
+    not taken anew but updated (Broyden 1965); 0 takes it anew at every step. Returns the best point, its cost,
+    (evaluations, best cost) per iteration and scipy's status.
     """
-    memory: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
     history: list[tuple[int, float]] = []
     best_z, best_cost = start, np.inf
+    asked: tuple[np.ndarray, np.ndarray] = (np.empty(0), np.empty(0))
+    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
-    def both(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        nonlocal best_z, best_cost
-        key = x.tobytes()
-        if key not in memory:
-            memory.clear()
-            z = start.copy()
-            z[free] = x
-            memory[key] = residuals.with_jacobian(z, free)
-            cost = float(np.sum(memory[key][0] ** 2))
-            if not np.isfinite(cost):
-                # a step into a simulation that fails: so bad that the trust region shrinks
-                memory[key] = np.full_like(memory[key][0], 1e3), np.zeros_like(memory[key][1])
-            elif cost < best_cost:
-                best_z, best_cost = z, cost
-            history.append((residuals.evaluations, best_cost))
-        return memory[key]
+    def at(x: np.ndarray) -> np.ndarray:
+        z = start.copy()
+        z[free] = x
+        return z
+
+    def value(x: np.ndarray) -> np.ndarray:
+        nonlocal best_z, best_cost, asked
+        z = at(x)
+        r = residuals.many(z[None])[0]
+        cost = float(np.sum(r * r))
+        if not np.isfinite(cost):
+            # a step into a simulation that fails: so bad that the trust region shrinks
+            r = np.full_like(r, _FAILED)
+        elif cost < best_cost:
+            best_z, best_cost = z, cost
+        asked = x.copy(), r
+        history.append((residuals.evaluations, best_cost))
+        return r
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        nonlocal known
+        # scipy asks for the slope where it last asked for the value
+        r = asked[1] if np.array_equal(asked[0], x) else value(x)
+        jacobian = _updated(known, x, r, keep)
+        if jacobian is None and np.all(r == _FAILED):
+            jacobian = np.zeros((len(r), len(free)))
+        elif jacobian is None:
+            jacobian = residuals.jacobian(at(x), r, free)
+        known = x.copy(), r, jacobian
+        return jacobian
 
     margin = 1e-6
     lower, upper = residuals.lower[free], residuals.upper[free]
     solution = least_squares(
-        lambda x: both(x)[0],
+        value,
         np.clip(start[free], lower + margin, upper - margin),
-        jac=lambda x: both(x)[1],
+        jac=slope,
         bounds=(lower, upper),
         method="trf",
         ftol=ftol,
@@ -102,7 +141,22 @@ def minimise(
         gtol=1e-10,
         max_nfev=iterations,
     )
+    history.append((residuals.evaluations, best_cost))
     return best_z, best_cost, history, int(solution.status)
+
+
+def _updated(
+    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None, x: np.ndarray, r: np.ndarray, keep: float
+) -> np.ndarray | None:
+    """The last point's Jacobian with a secant of rank one; None where it foretold the residuals too badly."""
+    if known is None or keep <= 0:
+        return None
+    way = x - known[0]
+    foretold = known[2] @ way
+    missed = r - known[1] - foretold
+    if way @ way == 0 or np.linalg.norm(missed) > keep * np.linalg.norm(foretold):
+        return None
+    return np.asarray(known[2] + np.outer(missed, way / (way @ way)))
 
 
 def search(

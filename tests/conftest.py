@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
+# two workers with two threads of BLAS each cost a hundred times what they save; before any test imports numpy
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TREE = ("Snakefile", "workflow", "config", "resources", "profiles", "environment-lock.txt")
 _IGNORE = shutil.ignore_patterns("__pycache__", "*.pyc", ".snakemake")
 

@@ -66,7 +66,7 @@ def test_a_person_without_dynamic_trials_or_sweeps_still_has_a_page(project):
     _add(project, "P02", "validation", ("neutral", "dynamic_1"))
     planned = project.planned("person_P02")
     assert planned["refine"] == planned["person_page"] == 1
-    assert not {"step_study", "joint_limits", "tightness_sweep", "fit"} & set(planned)
+    assert not {"step_study", "joint_limits", "tightness", "fit"} & set(planned)
 
 
 def test_an_unknown_person_is_told_who_is_known(project):

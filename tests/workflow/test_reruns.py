@@ -69,7 +69,7 @@ def test_changed_constant_in_the_cost_runs_all_fits_and_what_follows(mini):
     planned = mini.planned()
     assert planned["fit"] == 2 * 2 + 1, "and that of the person kept for validation"
     assert planned["cross_trial"] == 2
-    assert not [rule for rule in planned if rule.startswith(("ingest", "tightness_sweep", "joint_limits"))]
+    assert not [r for r in planned if r.startswith(("ingest", "joint_limits")) or r == "tightness"]
     assert set(planned) <= AGGREGATION | {"step_study", "fit", "assessment", "noise_floor", "cross_trial"}
 
 
@@ -91,7 +91,7 @@ def test_new_person_runs_only_their_jobs_and_the_aggregation(mini, mini_raw):
     assert planned["fit"] == 2
     assert planned["cross_trial"] == 1
     assert planned["joint_limits"] == 1
-    assert planned["tightness_sweep"] == 1
+    assert planned["tightness"] == 1
     assert [rule for rule in planned if rule.startswith("ingest")] == ["ingest_S03"]
     own = {
         "step_study",
@@ -100,8 +100,7 @@ def test_new_person_runs_only_their_jobs_and_the_aggregation(mini, mini_raw):
         "noise_floor",
         "cross_trial",
         "joint_limits",
-        "tightness_sweep",
-        "tightness_breakpoints",
+        "tightness",
         "ingest_S03",
         "gates_S03",
         "quality_figure",

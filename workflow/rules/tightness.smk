@@ -6,41 +6,18 @@ Steps:   ranges per level; two-segment regression with a test that the breakpoin
 """
 
 
-rule tightness_sweep:
-    """Allowable rotation and translation at each tightness level of one person."""
+rule tightness:
+    """Allowable rotation and translation at each tightness level of one person, its breakpoints, the operating point."""
     input:
         poses=lambda wildcards: poses_of(wildcards.subject, "rotation", "translation"),
         subject=lambda wildcards: str(PEOPLE[wildcards.subject].folder / "subject.yaml"),
     output:
-        "results/tightness/{subject}/sweep.csv",
-    log:
-        "logs/tightness/{subject}/sweep.log",
-    benchmark:
-        "logs/benchmarks/tightness/{subject}/sweep.tsv"
-    conda:
-        "../envs/real2sim.yaml"
-    threads: 1
-    resources:
-        mem_mb=600,
-        runtime=10,
-    params:
-        code=code("tightness-sweep"),
-    shell:
-        "python -m real2sim tightness-sweep --subject {wildcards.subject} --poses {input.poses:q}"
-        " --subject-yaml {input.subject:q} --out {output:q} 2>&1 | tee {log:q}"
-
-
-rule tightness_breakpoints:
-    """Breakpoints of one person's sweep and the operating point."""
-    input:
         sweep="results/tightness/{subject}/sweep.csv",
-        subject=lambda wildcards: str(PEOPLE[wildcards.subject].folder / "subject.yaml"),
-    output:
-        "results/tightness/{subject}/breakpoints.json",
+        breakpoints="results/tightness/{subject}/breakpoints.json",
     log:
-        "logs/tightness/{subject}/breakpoints.log",
+        "logs/tightness/{subject}.log",
     benchmark:
-        "logs/benchmarks/tightness/{subject}/breakpoints.tsv"
+        "logs/benchmarks/tightness/{subject}.tsv"
     conda:
         "../envs/real2sim.yaml"
     threads: 1
@@ -49,10 +26,13 @@ rule tightness_breakpoints:
         runtime=10,
     params:
         settings=settings_of("tightness"),
-        code=code("tightness-breakpoints"),
+        code=[code("tightness-sweep"), code("tightness-breakpoints")],
     shell:
-        "python -m real2sim tightness-breakpoints --sweep {input.sweep:q}"
-        " --subject-yaml {input.subject:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
+        "(python -m real2sim tightness-sweep --subject {wildcards.subject} --poses {input.poses:q}"
+        " --subject-yaml {input.subject:q} --out {output.sweep:q}"
+        " && python -m real2sim tightness-breakpoints --sweep {output.sweep:q}"
+        " --subject-yaml {input.subject:q} --settings {params.settings:q} --out {output.breakpoints:q})"
+        " 2>&1 | tee {log:q}"
 
 
 rule tightness_cohort:

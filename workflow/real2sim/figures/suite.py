@@ -96,13 +96,14 @@ def _lead(s: Mapping[str, Any]) -> str:
 # ---- targets and baselines
 
 
-def _amount(value: float | None, target: str) -> str:
-    """As a percentage where the target is one."""
-    return percent(value, 1) if "%" in target else rounded(value)
+def _amount(row: Mapping[str, Any]) -> str:
+    """As a percentage where it is a share, or where the target is one."""
+    share = row["wilson95"] is not None or "%" in row["target"] or row["met"] is None
+    return percent(row["value"], 1) if share else rounded(row["value"])
 
 
-def _between(ci: Sequence[float] | None, target: str) -> str:
-    return _DASH if ci is None else f"[{_amount(ci[0], target)}, {_amount(ci[1], target)}]"
+def _between(ci: Sequence[float] | None) -> str:
+    return _DASH if ci is None else f"[{percent(ci[0], 1)}, {percent(ci[1], 1)}]"
 
 
 def _verdict(met: bool | None) -> str:
@@ -119,9 +120,9 @@ def _targets(s: Mapping[str, Any]) -> str:
         [
             escape(t["claim"]),
             _verdict(t["met"]),
-            _amount(t["value"], t["target"]),
+            _amount(t),
             escape(t["target"]),
-            _between(t["wilson95"], t["target"]),
+            _between(t["wilson95"]),
             str(t["n"]),
         ]
         for t in s["targets"]
@@ -137,9 +138,7 @@ def _targets(s: Mapping[str, Any]) -> str:
         if rows
         else _missing("targets")
     )
-    return section(
-        "targets", "Targets and baselines", f'<div class="grid">\n{targets}\n{_baselines(s)}\n</div>'
-    )
+    return section("targets", "Targets and baselines", targets, _baselines(s))
 
 
 def _baselines(s: Mapping[str, Any]) -> str:

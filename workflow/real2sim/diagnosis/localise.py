@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct
 
-from real2sim.diagnosis.evidence import Evidence, bridged
+from real2sim.diagnosis.evidence import Evidence
 from real2sim.geometry import AXES
 
 TIME_SPANS = 6
@@ -102,11 +102,14 @@ def _bands(evidence: Evidence, error: np.ndarray, noise: np.ndarray) -> list[dic
 
 
 def _regimes(evidence: Evidence, energy: np.ndarray) -> list[dict[str, Any]]:
-    """Share of the gap by amplitude, speed and phase of the interface's motion, largest first."""
-    q = evidence.coordinates / evidence.scales.q
-    v = bridged(np.gradient(q, evidence.trial.time_s, axis=0))
-    amplitude, speed = np.linalg.norm(q, axis=1), np.linalg.norm(v, axis=1)
-    outward = np.sum(q * v, axis=1) > 0
+    """Share of the gap by amplitude, speed and phase of the interface's motion, largest first.
+
+    Amplitude and speed are norms of q and of its rate, each axis in units of its large excursion and its large rate.
+    """
+    scales = evidence.scales
+    q, rate = evidence.coordinates / scales.q, evidence.context.rates
+    amplitude, speed = np.linalg.norm(q, axis=1), np.linalg.norm(rate / scales.v, axis=1)
+    outward = np.sum(q * rate / scales.q, axis=1) > 0
     large, fast = amplitude > np.median(amplitude), speed > np.median(speed)
     sums = {}
     for is_large in (True, False):

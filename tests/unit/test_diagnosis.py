@@ -147,6 +147,21 @@ def test_late_markers_are_the_plain_ones_later(plain):
     np.testing.assert_allclose(late[0, 50:], plain[0, 45:-5], atol=1e-6)
 
 
+def test_markers_off_their_centres_are_apart_and_the_strap_turns_about_another_point(plain):
+    effect = next(e for e in EFFECTS if e.name == "marker_offset")
+    placed = Placed(effect, effect.places()[0], SCALES)
+    apart, _ = replay([placed]).run_effects(PRIOR[None], [np.array([[0.0, 0.01, 0.0, 0.0, -0.01, 0.0]])])
+    # 10 mm outward each along the measured line of the markers, the strap as it was
+    along = rotation_xyz(smooth_motion(3.0)[:, 3:])[:, :, 1]
+    np.testing.assert_allclose(apart[0] - plain[0], 0.01 * np.stack([along, -along], axis=1), atol=1e-9)
+    # both forward: as far apart as they were, but the centre of the strap is 20 mm behind what they show
+    forward = np.array([[0.02, 0.0, 0.0, 0.02, 0.0, 0.0]])
+    moved, _ = replay([placed]).run_effects(PRIOR[None], [forward])
+    distance = np.linalg.norm(moved[0, :, 0] - moved[0, :, 1], axis=1)
+    np.testing.assert_allclose(distance, np.linalg.norm(plain[0, :, 0] - plain[0, :, 1], axis=1), atol=1e-9)
+    assert np.abs(moved[0] - plain[0]).max() > 1e-4
+
+
 def test_slack_leaves_the_strap_without_force_inside():
     """Inside the dead band a strap without damping does not move a robot that stands still."""
     effect = next(e for e in EFFECTS if e.name == "slack")

@@ -28,7 +28,9 @@ def named(name: str, form: str = "", place: int = 0) -> Placed:
 
 def acting(placed: list[Placed]) -> tuple[EffectReplay, np.ndarray]:
     model = replay(placed)
-    paths, _ = model.run_effects(PRIOR[None], [p.starts()[-1:] for p in placed])
+    # away from zero where an effect starts at nothing
+    x = [p.starts()[-1:] if p.starts()[-1:].any() else p.bounds()[1][None] / 10 for p in placed]
+    paths, _ = model.run_effects(PRIOR[None], x)
     return model, paths[0]
 
 
@@ -53,7 +55,7 @@ PLANT = [e for e in EFFECTS if e.plant is not None]
 def test_the_file_moves_as_the_model_in_process(effect, tmp_path):
     model, paths = acting([named(effect.name, effect.form)])
     plain = replay([]).run_effects(PRIOR[None], [])[0][0]
-    assert np.abs(paths - plain).max() > 1e-5 or effect.name == "misalignment"
+    assert np.abs(paths - plain).max() > 1e-5
     simulated = model.as_simulated()
     file = tmp_path / "model.xml"
     file.write_text(

@@ -348,6 +348,26 @@ class TurnedBack:
         TurnedAxes().set(fields, where, parameters, values * np.array([0.0, 0.0, -1.0]))
 
 
+class MovedCentre:
+    """The strap turns about another point of the interface than half-way between its markers.
+
+    Values (m, 6) [m, interface]: where the left and the right marker sit off their joint centres; what is half-way
+    between the markers is off by their mean.
+    """
+
+    def build(self, spec, where):
+        """Nothing: anchors are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """Anchor of the hinges, in the pelvis' axes at rest."""
+        rest = np.zeros(9)
+        mujoco.mju_quat2Mat(rest, fields.model.body("pelvis").quat)
+        centre = -values.reshape(-1, 2, 3).mean(axis=1) @ rest.reshape(3, 3)
+        for axis in range(3, 6):
+            joint = fields.joint(axis)
+            fields["jnt_pos"][:, joint] = fields.model.jnt_pos[joint] + centre
+
+
 class RestShift:
     """The axis' spring rests elsewhere: value (m, 1)."""
 
@@ -533,10 +553,11 @@ def _filtered_markers(paths, values, context):
 
 
 def _off_site(paths, values, context):
-    # the start pose was taken from the same markers, so only what turns with the interface is seen
-    turn = context.interface_rotation - context.interface_rotation[0]
-    shift = np.einsum("nij,msj->mnsi", turn, values.reshape(-1, 2, 3))
-    return paths + shift
+    # Frame and start pose were taken from the same markers, so the simulated sites lie half-way and along the line of
+    # the markers from the start: of two offsets, only how far the markers are apart is left to see.
+    apart = (values[:, 1] - values[:, 4]) / 2
+    moved = np.einsum("ni,m->mni", context.interface_rotation[:, :, 1], apart)
+    return paths + np.stack([moved, -moved], axis=2)
 
 
 def _drifting_marker(side: int):
@@ -1114,10 +1135,11 @@ EFFECTS: tuple[Effect, ...] = (
         "S",
         "static poses at several headings",
         scope="whole",
+        plant=MovedCentre(),
         output_chain=_off_site,
         remedy=(
-            "Take from each interface marker its offset, turned with the interface from the start pose, or move the"
-            " sites interface_left and interface_right by it"
+            "Take from each interface marker its offset, turned with the interface, and ingest anew. The strap of this"
+            " model turns about the true centre; its sites are the joint centres, not the markers"
         ),
     ),
     *(

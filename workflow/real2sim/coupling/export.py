@@ -55,6 +55,10 @@ def _of_dof(name: str) -> Callable[[Any, mujoco.MjModel, int], None]:
     return write
 
 
+def _anchor(joint: Any, model: mujoco.MjModel, index: int) -> None:
+    joint.pos = model.jnt_pos[index]
+
+
 def _axis(joint: Any, model: mujoco.MjModel, index: int) -> None:
     joint.axis = model.jnt_axis[index]
 
@@ -88,6 +92,7 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
     "jnt_stiffness": _per_joint(_spring),
     "jnt_stiffnesspoly": _per_joint(_spring),
     "jnt_axis": _per_joint(_axis),
+    "jnt_pos": _per_joint(_anchor),
     "qpos_spring": _per_joint(_rest),
     "dof_damping": _per_joint(_damper),
     "dof_dampingpoly": _per_joint(_damper),
@@ -105,6 +110,7 @@ _DERIVED = (
     "body_invweight0",
     "dof_invweight0",
     "dof_M0",
+    "dof_length",
     "tendon_invweight0",
     "actuator_acc0",
     "stat",

@@ -227,15 +227,25 @@ def attribute(
     singles = search.screen(plain, candidates(pair.train.scales) if places is None else places)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
-    hypotheses = [search.fit(s.effects, s.start) for s in _shortlist(singles, settings)]
+    hypotheses = [_single(search, s, plain) for s in _shortlist(singles, settings)]
     hypotheses.sort(key=lambda h: sum(h.chi2))
     excess = (sum(hypotheses[0].chi2) - sum(count)) / np.sqrt(2 * sum(count))
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
         hypotheses += _pairs(search, plain, singles, hypotheses, settings)
         hypotheses += _grow(search, hypotheses, singles, sum(count), settings, progress)
-        hypotheses += _pruned(search, hypotheses)
+        hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
+
+
+def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
+    """Refit of one effect; where it ends worse than the plain plant, again from the plain fit and all its starts."""
+    fitted = search.fit(screened.effects, screened.start)
+    if fitted.chi2[0] <= plain.chi2[0] * (1 + 1e-3):
+        return fitted
+    starts = screened.effects[-1].starts()
+    again = [search.fit(screened.effects, np.concatenate([plain.z, x])) for x in starts]
+    return min([fitted, *again], key=lambda h: h.chi2[0])
 
 
 def _shortlist(screened: Sequence[Screened], settings: dict) -> list[Screened]:
@@ -289,17 +299,29 @@ def _elsewhere(single: Hypothesis, screened: Sequence[Screened]) -> list[Placed]
     return [p for p in places if p.effect is effect and axes.isdisjoint(p.where.axes) and axes]
 
 
+def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """One hypothesis of every set of effects and places, in the order of ``found``: the best on both trials."""
+    best: dict[frozenset[str], Hypothesis] = {}
+    for h in found:
+        key = frozenset(placed.key for placed in h.effects)
+        if key not in best or sum(h.chi2) < sum(best[key].chi2):
+            best[key] = h
+    return list(best.values())
+
+
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best set with each of its members left out: what was added first may have stood for what came later."""
+    """The best set with each of its members left out, from the set's values.
+
+    What was added first may have stood for what came later; and an effect that stuck alone (dry friction has hardly a
+    slope before it slips) may do alone what it does in company.
+    """
     best = min(found, key=lambda h: sum(h.chi2))
-    tried = {frozenset(placed.key for placed in h.effects) for h in found}
+    parts = best.split()
     out = []
-    for left_out in range(len(best.effects) if len(best.effects) > 2 else 0):
+    for left_out in range(len(best.effects) if len(best.effects) > 1 else 0):
         keep = [i for i in range(len(best.effects)) if i != left_out]
         effects = tuple(best.effects[i] for i in keep)
-        if frozenset(placed.key for placed in effects) not in tried:
-            parts = best.split()
-            out.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
+        out.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
     return out
 
 

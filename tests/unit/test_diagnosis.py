@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
 from real2sim.coupling.superset import EffectReplay
+from real2sim.diagnosis.attribute import Screened, _best_of_each, _pruned, _single
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
 from real2sim.diagnosis.evidence import drawn_together
+from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 
@@ -286,6 +288,39 @@ def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is
     assert np.abs(np.log(alike / 0.5e-3**2)).max() > 0.3
     unlike = alike * np.repeat([1.0, 100.0], 9)
     assert np.abs(np.log(drawn_together(unlike, freedom) / unlike)).max() < 0.05
+
+
+class _Stuck:
+    """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere."""
+
+    def __init__(self):
+        self.asked = []
+
+    def fit(self, effects, start, final=False):
+        self.asked.append(start[12:])
+        good = np.isclose(start[12:], np.log(0.3)).all()
+        return Hypothesis(tuple(effects), start, (100.0, 100.0) if good else (3000.0, 3000.0))
+
+
+def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
+    effect = next(e for e in EFFECTS if e.name == "coulomb")
+    placed = Placed(effect, effect.places()[0], SCALES)
+    plain = Hypothesis((), np.zeros(12), (2000.0, 2000.0))
+    stuck = np.concatenate([plain.z, [np.log(0.01)]])
+    screened = Screened((placed,), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck[12:])
+    search = _Stuck()
+    assert _single(search, screened, plain).chi2 == (100.0, 100.0)
+    assert len(search.asked) == 1 + len(placed.starts())
+
+
+def test_members_of_the_best_set_are_tried_alone_from_where_they_stand_in_it():
+    places = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in ("coulomb", "preload")]
+    z = np.zeros(12)
+    pair = Hypothesis(tuple(places), np.concatenate([z, [np.log(0.3), 0.1]]), (90.0, 90.0))
+    alone = Hypothesis((places[0],), np.concatenate([z, [0.0]]), (3000.0, 3000.0))
+    found = _best_of_each([alone, pair, *_pruned(_Stuck(), [alone, pair])])
+    assert [h.key for h in found] == ["coulomb tx", "coulomb tx + preload tx", "preload tx"]
+    assert found[0].chi2 == (100.0, 100.0), "from the pair's force, no longer stuck"
 
 
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):

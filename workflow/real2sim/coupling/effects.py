@@ -790,7 +790,8 @@ EFFECTS: tuple[Effect, ...] = (
         "interface",
         "F = k q + k1 max(q - q0, 0), or its mirror image: a strap that pulls to one side alone",
         (
-            EffectParameter("engages_at", "m|rad", 0.0, 0.3, (0.05,), _q),
+            # from zero on it would be asymmetric_stiffness by another name
+            EffectParameter("engages_at", "m|rad", 0.03, 0.3, (0.06,), _q),
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 50.0, (0.5, 4.0), _k, log=True),
         ),
         "S",

@@ -280,7 +280,7 @@ def _pairs(
         options += search.screen(single, _elsewhere(single, singles))[:1]
     out, seen = [], set()
     for option in options:
-        key = frozenset(placed.key for placed in option.effects)
+        key = _keys(option.effects)
         if key not in seen:
             seen.add(key)
             out.append(search.fit(option.effects, option.start))
@@ -299,11 +299,16 @@ def _elsewhere(single: Hypothesis, screened: Sequence[Screened]) -> list[Placed]
     return [p for p in places if p.effect is effect and axes.isdisjoint(p.where.axes) and axes]
 
 
+def _keys(effects: Sequence[Placed]) -> frozenset[str]:
+    """What makes two sets the same: effects and places, in any order."""
+    return frozenset(placed.key for placed in effects)
+
+
 def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """One hypothesis of every set of effects and places, in the order of ``found``: the best on both trials."""
     best: dict[frozenset[str], Hypothesis] = {}
     for h in found:
-        key = frozenset(placed.key for placed in h.effects)
+        key = _keys(h.effects)
         if key not in best or sum(h.chi2) < sum(best[key].chi2):
             best[key] = h
     return list(best.values())

@@ -55,6 +55,11 @@ def features(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[i
     }
 
 
+def _left(candidate: Candidate, c: Mapping[str, float]) -> float:
+    """What a set leaves of chi-squared, the training trial weighted."""
+    return c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
+
+
 def logits(
     plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
 ) -> np.ndarray:
@@ -67,9 +72,8 @@ def logits(
     further = c["second_effect"] + c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
 
     def score(candidate: Candidate) -> float:
-        weighted = c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
         price = c["per_parameter"] * candidate.parameters + further * max(len(candidate.names) - 1, 0)
-        return -(weighted + price) / temperature
+        return -(_left(candidate, c) + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
     rows = [score(x) - best for x in candidates]
@@ -121,14 +125,11 @@ def _earned(
     if len(candidate.names) == 1:
         return np.ones(1)
 
-    def left(x: Candidate) -> float:
-        return c["train_weight"] * x.chi2[0] + x.chi2[1]
-
     lost = []
     for name in candidate.names:
         others = set(candidate.names) - {name}
-        without = min(left(x) for x in (plain, *candidates) if set(x.names) <= others)
-        lost.append(max(without - left(candidate), 1.0))
+        without = min(_left(x, c) for x in (plain, *candidates) if set(x.names) <= others)
+        lost.append(max(without - _left(candidate, c), 1.0))
     return np.array(lost) / sum(lost)
 
 

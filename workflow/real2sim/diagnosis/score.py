@@ -263,20 +263,23 @@ def _gap_closed(row: Row) -> float | None:
     """Share of the gap on the held-out trial that the answer closes, of what the oracle closes on the same data.
 
     The oracle knows the true structure: the best on the held-out trial of all refits that hold the true effects and
-    no others. Where the truth was never refitted, the estimated floor stands for it. None where J hardly has a gap.
+    no others. Where the truth was never refitted, the estimated floor stands for it. The oracle is fitted by the same
+    search, so a right answer closes all of it: what this counts is wrong answers, and fits worse than another.
     """
-    gap = row["answer"]["gap"]
-    oracle = [h["J_held_out"] for h in row["answer"]["considered"] if set(h["effects"]) == set(row["names"])]
-    closable = gap["J_base"] - min(oracle, default=gap["J_floor"])
-    if closable <= _SMALLEST_GAP * gap["J_floor"]:
-        return None
-    return float((gap["J_base"] - gap["J_with_effect"]) / closable)
+    truth = set(row["names"])
+    oracle = [h["J_held_out"] for h in row["answer"]["considered"] if set(h["effects"]) == truth]
+    return _closed(row, min(oracle, default=row["answer"]["gap"]["J_floor"]))
 
 
 def _gap_closed_of_floor(row: Row) -> float | None:
     """As `_gap_closed`, of what lies above the noise floor that the diagnosis estimates."""
+    return _closed(row, row["answer"]["gap"]["J_floor"])
+
+
+def _closed(row: Row, least: float) -> float | None:
+    """Share of the way from the plain J to ``least`` that the answer goes; None where J hardly has a gap."""
     gap = row["answer"]["gap"]
-    closable = gap["J_base"] - gap["J_floor"]
+    closable = gap["J_base"] - least
     if closable <= _SMALLEST_GAP * gap["J_floor"]:
         return None
     return float((gap["J_base"] - gap["J_with_effect"]) / closable)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 
+import yaml
+
 
 def _jobs(project, *targets: str) -> list[dict[str, str]]:
     """Rule, inputs, outputs and command of every job that a dry run plans."""
@@ -142,6 +144,15 @@ def test_misnamed_trial_is_refused_before_any_job(project):
     assert done.returncode != 0
     assert "dynamic-1.tsv" in done.stdout
     assert "remedy" in done.stdout
+
+
+def test_the_groups_of_the_cluster_profile_can_be_planned(project):
+    """Whatever the executor, Snakemake refuses a group that waits for itself by way of a rule outside it."""
+    groups = yaml.safe_load((project.folder / "profiles" / "slurm" / "config.yaml").read_text())["groups"]
+    rules = set((project.snakemake("--list-rules", "--quiet", "all").stdout).split())
+    assert set(groups) <= rules
+    pairs = [f"{rule}={group}" for rule, group in groups.items()]
+    project.snakemake("-n", "--cores", "1", "--quiet", "all", "--groups", *pairs)
 
 
 def test_a_fit_is_told_its_threads(project):

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
 from real2sim.coupling.superset import EffectReplay
-from real2sim.diagnosis.attribute import Screened, _best_of_each, _pruned, _single
+from real2sim.diagnosis.attribute import (
+    FAILED,
+    Screened,
+    Search,
+    _best_of_each,
+    _first_of_each,
+    _promising,
+    _pruned,
+    _single,
+)
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
 from real2sim.diagnosis.evidence import drawn_together
 from real2sim.diagnosis.refit import Hypothesis
@@ -37,7 +46,7 @@ NEUTRAL = {
     "quadratic_damping": [0.0],
     "added_mass": [0.0, 0.0],
     "base_compliance": [0.0] * 6,
-    "controller_reaction": [0.0, 0.1],
+    "controller_reaction": [0.0, 0.1, 0.1],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
     "lab_yaw": [0.0],
@@ -290,8 +299,8 @@ def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is
     assert np.abs(np.log(drawn_together(unlike, freedom) / unlike)).max() < 0.05
 
 
-class _Stuck:
-    """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere."""
+class _Stuck(Search):
+    """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
     def __init__(self):
         self.asked = []
@@ -299,7 +308,12 @@ class _Stuck:
     def fit(self, effects, start, final=False):
         self.asked.append(start[12:])
         good = np.isclose(start[12:], np.log(0.3)).all()
+        if (start[12:] == 9).any():
+            return Hypothesis(tuple(effects), start, (FAILED, FAILED))
         return Hypothesis(tuple(effects), start, (100.0, 100.0) if good else (3000.0, 3000.0))
+
+    def bearable(self, effects, base, x):
+        return np.concatenate([base, x])
 
 
 def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
@@ -307,10 +321,60 @@ def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     placed = Placed(effect, effect.places()[0], SCALES)
     plain = Hypothesis((), np.zeros(12), (2000.0, 2000.0))
     stuck = np.concatenate([plain.z, [np.log(0.01)]])
-    screened = Screened((placed,), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck[12:])
+    screened = Screened((placed,), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck)
     search = _Stuck()
     assert _single(search, screened, plain).chi2 == (100.0, 100.0)
     assert len(search.asked) == 1 + len(placed.starts())
+
+
+def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_taken():
+    effect = next(e for e in EFFECTS if e.name == "coulomb")
+    placed = Placed(effect, effect.places()[0], SCALES)
+    far, near = np.append(np.zeros(12), 9.0), np.append(np.zeros(12), np.log(0.3))
+    screened = Screened((placed,), 500.0, far, np.zeros(1), np.zeros((1, 1)), near)
+    assert _Stuck().fit_screened(screened).chi2 == (100.0, 100.0)
+
+
+def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
+    quadratic = next(e for e in EFFECTS if e.form == "_quadratic")
+    assert Placed(quadratic, quadratic.places()[0], SCALES).weaker(np.array([-0.4])) == pytest.approx([-0.1])
+    lugre = next(e for e in EFFECTS if e.name == "lugre")
+    placed = Placed(lugre, lugre.places()[0], SCALES)
+    start = placed.starts()[0]
+    assert placed.weaker(start) == pytest.approx([start[0], 0.125, start[2], start[3]])
+    assert placed.weaker(np.array([0.0, 0.06, -3.0, -3.0]))[1] == pytest.approx(0.05)
+
+
+def _screened(effects, predicted=1.0):
+    return Screened(tuple(effects), predicted, np.zeros(12), np.zeros(1), np.zeros((1, 1)), np.zeros(12))
+
+
+def test_every_effect_stays_in_the_running_for_a_second_cause():
+    coulomb = next(e for e in EFFECTS if e.name == "coulomb")
+    lag = next(e for e in EFFECTS if e.name == "replay_lag")
+    places = [Placed(coulomb, w, SCALES) for w in coulomb.places()] + [Placed(lag, lag.places()[0], SCALES)]
+    kept = _promising([_screened([p]) for p in places], 2)
+    assert [p.key for p in kept] == ["coulomb tx", "coulomb ty", "replay_lag"]
+
+
+def test_the_best_hypothesis_of_each_effect_comes_in_the_order_of_the_best():
+    places = {e.name: e.places() for e in EFFECTS if e.name in ("coulomb", "preload")}
+    by_name = {name: next(e for e in EFFECTS if e.name == name) for name in places}
+
+    def single(name, axis):
+        return Hypothesis((Placed(by_name[name], places[name][axis], SCALES),), np.zeros(13), (1.0, 1.0))
+
+    found = [single("coulomb", 0), single("preload", 1), single("coulomb", 2)]
+    assert [h.key for h in _first_of_each(found)] == ["coulomb tx", "preload ty"]
+
+
+def test_a_set_is_pruned_down_to_single_effects():
+    names = ("coulomb", "preload", "tilt")
+    places = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in names]
+    values = [np.full(len(p.effect.parameters), np.log(0.3)) for p in places]
+    three = Hypothesis(tuple(places), np.concatenate([np.zeros(12), *values]), (90.0, 90.0))
+    sizes = [len(h.effects) for h in _pruned(_Stuck(), [three])]
+    assert sizes == [2, 2, 2, 1, 1]
 
 
 def test_members_of_the_best_set_are_tried_alone_from_where_they_stand_in_it():

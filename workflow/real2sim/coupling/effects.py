@@ -20,7 +20,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS
@@ -274,27 +274,36 @@ class Bristles:
 
 
 class Maxwell:
-    """A spring and a damper in series beside the axis' own: values are stiffness and time constant, (m, 2).
+    """Springs and dampers in series beside the axis' own: values are stiffness and shortest time constant, (m, 2).
 
-    The point between the two is a hidden slide in the world, tied to the strap joint by a tendon.
+    ``branches`` of equal stiffness, which adds up to the value, have time constants that grow by ``ratio``: together
+    they relax with the logarithm of time. The point between spring and damper of each is a hidden slide in the world,
+    tied to the strap joint by a tendon.
     """
 
+    def __init__(self, branches: int = 1, ratio: float = 1.0):
+        self._ratios = ratio ** np.arange(branches)
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"maxwell{i or ''}_{where.element}" for i in range(len(self._ratios))]
+
     def build(self, spec, where):
-        """Hidden slide and tendon."""
-        name = f"maxwell_{where.element}"
-        body = spec.worldbody.add_body(
-            name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
-        )
-        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
-        joints = {STRAP_JOINTS[where.axes[0]]: 1.0, name: -1.0}
-        _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
+        """Hidden slide and tendon of each branch."""
+        for name in self._names(where):
+            body = spec.worldbody.add_body(
+                name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
+            )
+            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
+            joints = {STRAP_JOINTS[where.axes[0]]: 1.0, name: -1.0}
+            _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
 
     def set(self, fields, where, parameters, values):
-        """Stiffness and damping. The slide needs no inertia: its damping is implicit."""
-        name = f"maxwell_{where.element}"
-        dof = int(fields.model.joint(name).dofadr[0])
-        fields["tendon_stiffness"][:, fields.tendon(name)] = values[:, 0]
-        fields["dof_damping"][:, dof] = values[:, 0] * values[:, 1]
+        """Stiffness and damping. The slides need no inertia: their damping is implicit."""
+        for name, ratio in zip(self._names(where), self._ratios, strict=True):
+            dof = int(fields.model.joint(name).dofadr[0])
+            stiffness = values[:, 0] / len(self._ratios)
+            fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
+            fields["dof_damping"][:, dof] = stiffness * values[:, 1] * ratio
 
 
 class Coupling:
@@ -586,15 +595,18 @@ def _tilt(values, context, where, parameters):
 
 
 def _reaction(values, context, where, parameters):
-    # what the strap does to the interface, seen by a controller in the plane and answered late
+    # what the strap does to the interface, seen by a controller in the plane, answered late and with its bandwidth
     force = -(
         parameters[:, None, :3] * context.coordinates[:, :3] + parameters[:, None, 6:9] * context.rates[:, :3]
     )
     world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
     out = np.empty((len(values), len(context.step_time_s), 2))
-    for i, (gain, delay) in enumerate(values):
+    dt = context.step_time_s[1] - context.step_time_s[0]
+    for i, (gain, delay, smoothing) in enumerate(values):
+        decay = np.exp(-dt / max(smoothing, 1e-9))
         for c in range(2):
-            out[i, :, c] = gain * np.interp(context.step_time_s - delay, context.time_s, world[i, :, c])
+            late = np.interp(context.step_time_s - delay, context.time_s, world[i, :, c])
+            out[i, :, c] = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * late[0]])[0]
     return out
 
 
@@ -721,6 +733,11 @@ class Placed:
             for i in range(count)
         ]
         return np.array(rows, dtype=float)
+
+    def weaker(self, x: np.ndarray) -> np.ndarray:
+        """A quarter of the searched numbers (p,) that are no logarithms, inside the bounds."""
+        log = np.array([p.log for p in self.effect.parameters], dtype=bool)
+        return np.clip(np.where(log, x, x / 4), *self.bounds())
 
     def prior_sd(self) -> np.ndarray:
         """Prior SD (p,) of the searched numbers, infinite for none."""
@@ -914,6 +931,19 @@ EFFECTS: tuple[Effect, ...] = (
         plant=Maxwell(),
     ),
     Effect(
+        "creep",
+        "interface",
+        "as relaxation, by the logarithm of time: four branches, each four times as slow as the one before",
+        (
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 10.0, (0.5,), _k, log=True),
+            EffectParameter("shortest_time_constant", "s", 0.3, 5.0, (1.0,), log=True),
+        ),
+        "creep",
+        "reload after a rest",
+        plant=Maxwell(4, 4.0),
+        form="_log_time",
+    ),
+    Effect(
         "migration",
         "interface",
         "F = k (q - r), r' = c max(q - r - w, 0): beyond a threshold the rest pose follows, and stays",
@@ -1027,17 +1057,19 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "controller_reaction",
         "robot",
-        "F_base = g F_interaction(t - T)",
+        "F_base = g y, T y' = F_interaction(t - delay) - y",
         (
             EffectParameter("gain", "1", -1.5, 4.0, (-0.3, 0.3)),
-            EffectParameter("delay", "s", 0.0, 0.5, (0.1,)),
+            EffectParameter("delay", "s", 0.0, 0.5, (0.1, 0.02)),
+            EffectParameter("smoothing", "s", 0.0, 0.5, (0.0, 0.1)),
         ),
         "controller_reaction",
         "the same motion with the controller off",
         scope="whole",
         plant=PlannedForce(_reaction, ROBOT_JOINTS[:2]),
         remedy=(
-            "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed"
+            "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed and passed"
+            " through a low-pass of first order with the smoothing as time constant"
         ),
     ),
     Effect(

@@ -22,6 +22,8 @@ from real2sim.identification.parameters import Bounds
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+# How often a start that MuJoCo gives up on is weakened
+WEAKENINGS = 3
 # Longest step in ln or searched numbers that the screening believes
 LONGEST_STEP = 1.5
 
@@ -39,8 +41,8 @@ class Pair:
 class Screened:
     """A hypothesis before its refit: predicted cost on the training trial and where to start.
 
-    ``change`` (n_r,) is what its starting value does to the residuals, ``own`` (n_r, p) the tangent of its parameters
-    and ``own_start`` (p,) where that tangent holds.
+    ``change`` (n_r,) is what its starting value does to the residuals, ``own`` (n_r, p) the tangent of its parameters;
+    ``origin`` (12 + p,) is where that tangent holds.
     """
 
     effects: tuple[Placed, ...]
@@ -48,7 +50,7 @@ class Screened:
     start: np.ndarray
     change: np.ndarray
     own: np.ndarray
-    own_start: np.ndarray
+    origin: np.ndarray
 
 
 @dataclass
@@ -128,6 +130,26 @@ class Search:
         (train, _), (other, j) = judged.tolist()
         return Hypothesis(tuple(effects), z, (train, other), j, count)
 
+    def fit_screened(self, screened: Screened) -> Hypothesis:
+        """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that."""
+        fitted = self.fit(screened.effects, screened.start)
+        return fitted if fitted.chi2[0] < FAILED else self.fit(screened.effects, screened.origin)
+
+    def bearable(self, effects: tuple[Placed, ...], base: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """``base`` with the start ``x`` (p,) of the last effect, weakened until the simulation bears it.
+
+        A spring that softens is a spring that lets go where the strap of ``base`` is softer than the plain one.
+        """
+        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        z = np.concatenate([base, x])
+        for _ in range(WEAKENINGS):
+            if np.isfinite(residuals.costs(z[None])[0]):
+                break
+            x = effects[-1].weaker(x)
+            z = np.concatenate([base, x])
+        self.evaluations += residuals.evaluations
+        return z
+
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
         train = self.pair.train
@@ -153,15 +175,19 @@ class Search:
         own = np.arange(len(base.z), len(residuals.lower))
         best: Screened | None = None
         for x in placed.starts():
-            z = np.concatenate([base.z, x])
-            r, jx = residuals.with_jacobian(z, own)
-            if not (np.isfinite(r).all() and np.isfinite(jx).all()):
+            for _ in range(WEAKENINGS):
+                z = np.concatenate([base.z, x])
+                r, jx = residuals.with_jacobian(z, own)
+                if np.isfinite(r).all() and np.isfinite(jx).all():
+                    break
+                x = placed.weaker(x)
+            else:
                 continue
             # prior rows of the base's own effects stand before those of the new one
             rows = np.vstack([j0, np.zeros((len(r) - len(j0), j0.shape[1]))])
             step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
             if best is None or cost < best.predicted:
-                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, x)
+                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
         self.evaluations += residuals.evaluations
         return best
 
@@ -175,12 +201,13 @@ class Search:
                 continue
             r = self._r0 + a.change[:rows] + b.change[:rows]
             jacobian = np.hstack([self._j0, a.own[:rows], b.own[:rows]])
-            z = np.concatenate([base.z, a.own_start, b.own_start])
+            own = [s.origin[len(base.z) :] for s in (a, b)]
+            z = np.concatenate([base.z, *own])
             limits = [placed.bounds() for placed in effects]
             lower = np.concatenate([np.log(self.pair.bounds.lower), *(low for low, _ in limits)])
             upper = np.concatenate([np.log(self.pair.bounds.upper), *(high for _, high in limits)])
             step, cost = _bounded_step(jacobian, r, z, lower, upper)
-            out.append(Screened(effects, cost, z + step, r, jacobian[:, 12:], z[12:]))
+            out.append(Screened(effects, cost, z + step, r, jacobian[:, 12:], z))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
 
@@ -224,7 +251,8 @@ def attribute(
     plain = search.fit((), start, final=True)
     count = [e.samples for e in (pair.train, pair.held_out)]
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
-    singles = search.screen(plain, candidates(pair.train.scales) if places is None else places)
+    everything = candidates(pair.train.scales) if places is None else list(places)
+    singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
     hypotheses = [_single(search, s, plain) for s in _shortlist(singles, settings)]
@@ -232,19 +260,20 @@ def attribute(
     excess = (sum(hypotheses[0].chi2) - sum(count)) / np.sqrt(2 * sum(count))
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
-        hypotheses += _pairs(search, plain, singles, hypotheses, settings)
-        hypotheses += _grow(search, hypotheses, singles, sum(count), settings, progress)
+        more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
+        hypotheses += more
+        hypotheses += _grow(search, hypotheses, promising, sum(count), settings, progress)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
     """Refit of one effect; where it ends worse than the plain plant, again from the plain fit and all its starts."""
-    fitted = search.fit(screened.effects, screened.start)
+    fitted = search.fit_screened(screened)
     if fitted.chi2[0] <= plain.chi2[0] * (1 + 1e-3):
         return fitted
     starts = screened.effects[-1].starts()
-    again = [search.fit(screened.effects, np.concatenate([plain.z, x])) for x in starts]
+    again = [search.fit(screened.effects, search.bearable(screened.effects, plain.z, x)) for x in starts]
     return min([fitted, *again], key=lambda h: h.chi2[0])
 
 
@@ -268,13 +297,20 @@ def _pairs(
     plain: Hypothesis,
     singles: Sequence[Screened],
     found: Sequence[Hypothesis],
+    everything: Sequence[Placed],
     settings: dict,
-) -> list[Hypothesis]:
-    """Second effects on top of the best single one, and pairs that the tangent alone promises."""
-    best = found[0]
+) -> tuple[list[Hypothesis], list[Placed]]:
+    """Second effects on top of the best single ones, and pairs that the tangent alone promises, best first.
+
+    Also the places that promise most on top of the best single one, with every effect among them.
+    """
     options = search.pairs(plain, singles[: settings["pair_pool"]], settings["pair_refits"])
-    places = [s.effects[-1] for s in singles[: settings["pair_pool"]] if s.effects[-1].key != best.key]
-    options += search.screen(best, places)[: settings["pair_refits"]]
+    # an effect that promised nothing beside the whole gap may be all that is left once the other is there
+    screens: list[list[Screened]] = []
+    for single in _first_of_each(found)[: settings["pair_screens"]]:
+        screens.append(search.screen(single, _without(everything, single)))
+        options += screens[-1][: settings["pair_refits"]]
+    promising = [*found[0].effects, *_promising(screens[0] if screens else singles, settings["pair_pool"])]
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
     for single in _first_of_each(found)[: settings["spread_refits"]]:
         options += search.screen(single, _elsewhere(single, singles))[:1]
@@ -283,13 +319,32 @@ def _pairs(
         key = _keys(option.effects)
         if key not in seen:
             seen.add(key)
-            out.append(search.fit(option.effects, option.start))
-    return sorted(out, key=lambda h: sum(h.chi2))
+            out.append(search.fit_screened(option))
+    return sorted(out, key=lambda h: sum(h.chi2)), promising
+
+
+def _promising(screened: Sequence[Screened], most: int) -> list[Placed]:
+    """The first ``most`` places of a screening, and the best place of every effect."""
+    places = [s.effects[-1] for s in screened]
+    first: dict[str, Placed] = {}
+    for placed in places:
+        first.setdefault(placed.effect.name, placed)
+    chosen = {placed.key: placed for placed in (*places[:most], *first.values())}
+    return list(chosen.values())
+
+
+def _without(places: Sequence[Placed], hypothesis: Hypothesis) -> list[Placed]:
+    """The places that a hypothesis does not hold yet."""
+    taken = _keys(hypothesis.effects)
+    return [placed for placed in places if placed.key not in taken]
 
 
 def _first_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best single hypothesis of every effect, in the order of ``found``."""
-    return list({h.names[0]: h for h in reversed(found)}.values())[::-1]
+    first: dict[str, Hypothesis] = {}
+    for h in found:
+        first.setdefault(h.names[0], h)
+    return list(first.values())
 
 
 def _elsewhere(single: Hypothesis, screened: Sequence[Screened]) -> list[Placed]:
@@ -315,18 +370,21 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best set with each of its members left out, from the set's values.
+    """The best set with each of its members left out, from the set's values; so on with the best of those.
 
     What was added first may have stood for what came later; and an effect that stuck alone (dry friction has hardly a
     slope before it slips) may do alone what it does in company.
     """
     best = min(found, key=lambda h: sum(h.chi2))
-    parts = best.split()
-    out = []
-    for left_out in range(len(best.effects) if len(best.effects) > 1 else 0):
-        keep = [i for i in range(len(best.effects)) if i != left_out]
-        effects = tuple(best.effects[i] for i in keep)
-        out.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
+    out: list[Hypothesis] = []
+    while len(best.effects) > 1:
+        parts, smaller = best.split(), []
+        for left_out in range(len(best.effects)):
+            keep = [i for i in range(len(best.effects)) if i != left_out]
+            effects = tuple(best.effects[i] for i in keep)
+            smaller.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
+        out += smaller
+        best = min(smaller, key=lambda h: sum(h.chi2))
     return out
 
 
@@ -340,7 +398,7 @@ def finished(pair: Pair, hypothesis: Hypothesis, settings: dict) -> Hypothesis:
 def _grow(
     search: Search,
     found: Sequence[Hypothesis],
-    singles: Sequence[Screened],
+    promising: Sequence[Placed],
     samples: int,
     settings: dict,
     progress: Callable[[str], None],
@@ -352,10 +410,8 @@ def _grow(
         left = sum(best.chi2) - samples
         if left < settings["pair_excess_sigma"] * np.sqrt(2 * samples):
             break
-        taken = {placed.key for placed in best.effects}
-        places = [s.effects[-1] for s in singles[: settings["pair_pool"]] if s.effects[-1].key not in taken]
-        options = search.screen(best, places)[: settings["pair_refits"]]
-        more = [search.fit(option.effects, option.start) for option in options]
+        options = search.screen(best, _without(promising, best))[: settings["pair_refits"]]
+        more = [search.fit_screened(option) for option in options]
         out += more
         grown = min([best, *more], key=lambda h: sum(h.chi2))
         if sum(best.chi2) - sum(grown.chi2) < settings["grow_share"] * left:

@@ -146,6 +146,33 @@ def settings_of(*slices, part=None):
     return json.dumps(chosen if len(slices) > 1 else chosen[slices[0]])
 
 
+def protocols():
+    """People by what they recorded: (ending of a rule's name, trials, pattern of their names).
+
+    What a rule writes has to be known before anyone is looked at, so those who have the same trials share one; whoever
+    has trials that nobody else has gets one of their own. A rule per person would do as well, but of a thousand people
+    that takes a fifth of the plan.
+    """
+    alike = {}
+    for name, person in PEOPLE.items():
+        alike.setdefault(tuple(person.trials), []).append(name)
+    shared = [names for names in alike.values() if len(names) > 1]
+    endings = {names[0]: f"_{i}" if i else "" for i, names in enumerate(shared)}
+    return [
+        (endings.get(names[0], f"_{names[0]}"), list(trials), "|".join(names))
+        for trials, names in alike.items()
+    ]
+
+
+def raw_files(wildcards):
+    """subject.yaml, which stands first, and every raw export of a person."""
+    person = PEOPLE[wildcards.subject]
+    recordings = (
+        path for files in person.trials.values() for path in (files.markers, files.markerless, files.log)
+    )
+    return [str(person.folder / "subject.yaml"), *(str(path) for path in recordings if path is not None)]
+
+
 def canonical_tables(people=None):
     """Canonical tables of all trials of some people (all by default)."""
     return [

@@ -7,26 +7,22 @@ Steps:   read, fill short gaps, filter, synchronise, align, compute poses and in
 One job per person, not per trial: starting Python costs more than reading a trial.
 """
 
-for _name, _person in PEOPLE.items():
+for _suffix, _trials, _names in protocols():
 
     rule:
         """All recordings of one person as canonical tables."""
         name:
-            f"ingest_{_name}"
+            f"ingest{_suffix}"
         input:
-            raw=[str(_person.folder / "subject.yaml")]
-            + [
-                str(path)
-                for files in _person.trials.values()
-                for path in (files.markers, files.markerless, files.log)
-                if path is not None
-            ],
+            raw=raw_files,
         output:
-            canonical_tables([_name]),
+            [f"results/trials/{{subject}}/{trial}/{table}" for table in TABLES for trial in _trials],
         log:
-            f"logs/ingest/{_name}.log",
+            "logs/ingest/{subject}.log",
         benchmark:
-            f"logs/benchmarks/ingest/{_name}.tsv"
+            "logs/benchmarks/ingest/{subject}.tsv"
+        wildcard_constraints:
+            subject=_names,
         conda:
             "../envs/real2sim.yaml"
         threads: 1
@@ -34,11 +30,10 @@ for _name, _person in PEOPLE.items():
             mem_mb=600,
             runtime=20,
         params:
-            subject=_name,
             folder=lambda wildcards, input: Path(input.raw[0]).parent,
             out=lambda wildcards, output: Path(output[0]).parents[1],
             settings=settings_of("ingest"),
             code=code("ingest"),
         shell:
-            "python -m real2sim ingest --subject {params.subject} --folder {params.folder:q} --raw {input.raw:q}"
+            "python -m real2sim ingest --subject {wildcards.subject} --folder {params.folder:q} --raw {input.raw:q}"
             " --settings {params.settings:q} --out {params.out:q} 2>&1 | tee {log:q}"

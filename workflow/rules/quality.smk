@@ -21,27 +21,23 @@ rule quality:
         expand("results/quality/{subject}/gates.png", subject=PEOPLE),
 
 
-for _name, _person in PEOPLE.items():
+for _suffix, _trials, _names in protocols():
 
     rule:
         """Verdict of every gate on each recording of one person."""
         name:
-            f"gates_{_name}"
+            f"gates{_suffix}"
         input:
-            raw=[str(_person.folder / "subject.yaml")]
-            + [
-                str(path)
-                for files in _person.trials.values()
-                for path in (files.markers, files.markerless, files.log)
-                if path is not None
-            ],
+            raw=raw_files,
         output:
-            gates=f"results/quality/{_name}/gates.json",
-            trials=[f"results/quality/{_name}/{trial}.json" for trial in _person.trials],
+            gates="results/quality/{subject}/gates.json",
+            trials=[f"results/quality/{{subject}}/{trial}.json" for trial in _trials],
         log:
-            f"logs/quality/{_name}.log",
+            "logs/quality/{subject}.log",
         benchmark:
-            f"logs/benchmarks/quality/{_name}.tsv"
+            "logs/benchmarks/quality/{subject}.tsv"
+        wildcard_constraints:
+            subject=_names,
         conda:
             "../envs/real2sim.yaml"
         threads: 1
@@ -49,13 +45,12 @@ for _name, _person in PEOPLE.items():
             mem_mb=800,
             runtime=20,
         params:
-            subject=_name,
             folder=lambda wildcards, input: Path(input.raw[0]).parent,
             out=lambda wildcards, output: Path(output.gates).parent,
             settings=GATE_SETTINGS,
             code=code("quality-subject"),
         shell:
-            "python -m real2sim quality-subject --subject {params.subject} --folder {params.folder:q} --raw {input.raw:q}"
+            "python -m real2sim quality-subject --subject {wildcards.subject} --folder {params.folder:q} --raw {input.raw:q}"
             " --settings {params.settings:q} --out {params.out:q} 2>&1 | tee {log:q}"
 
 

@@ -130,6 +130,11 @@ class Search:
         (train, _), (other, j) = judged.tolist()
         return Hypothesis(tuple(effects), z, (train, other), j, count)
 
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Whitened residuals of the two trials."""
+        return self.pair.train.samples, self.pair.held_out.samples
+
     def fit_screened(self, screened: Screened) -> Hypothesis:
         """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that."""
         fitted = self.fit(screened.effects, screened.start)
@@ -314,10 +319,14 @@ def _pairs(
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
     for single in _first_of_each(found)[: settings["spread_refits"]]:
         options += search.screen(single, _elsewhere(single, singles))[:1]
-    out, seen = [], set()
-    for option in options:
+    out: list[Hypothesis] = []
+    seen = set()
+    noise = sum(search.samples) + settings["pair_excess_sigma"] * np.sqrt(2 * sum(search.samples))
+    for option in sorted(options, key=lambda s: s.predicted):
         key = _keys(option.effects)
-        if key not in seen:
+        # once a pair leaves nothing but noise, a few rivals are enough
+        done = len(out) >= settings["pair_rivals"] and min(sum(h.chi2) for h in out) < noise
+        if key not in seen and not done:
             seen.add(key)
             out.append(search.fit_screened(option))
     return sorted(out, key=lambda h: sum(h.chi2)), promising

@@ -83,13 +83,15 @@ def trained(
         trainer = Trainer(who, reference_of(who, study, phantom), study["twin"], seed=seed, threads=threads)
         wall, cpu = time.monotonic(), time.process_time()
         ended = train(trainer, checkpoint=folder / f"{name}.pkl", key=name + made_with)
-        save_policy(policy, trainer.policy())
+        chosen_steps, best = trainer.chosen()
+        save_policy(policy, best)
         write_json(
             record,
             {
                 "settings_sha256": made_with,
                 "ended": ended,
                 "steps": trainer.steps,
+                "policy_steps": chosen_steps,
                 "wall_s": time.monotonic() - wall,
                 "processor_s": time.process_time() - cpu,
                 "bytes": policy.stat().st_size,

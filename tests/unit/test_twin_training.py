@@ -155,6 +155,35 @@ def test_training_is_the_same_bits_again_and_after_an_interruption(tmp_path):
     assert not np.array_equal(once.policy().actor[0][0], other.policy().actor[0][0])
 
 
+def test_of_policies_that_meet_as_many_bars_the_latest_is_kept_also_after_an_interruption(tmp_path):
+    trainer = Trainer(WHO, reference(), _small(), seed=5, threads=1)
+    assert trainer.chosen()[0] == 0
+    kept = {}
+    for met in (1, 2, 2, 0):
+        trainer.iterate()
+        kept[trainer.steps] = trainer.policy()
+        trainer.keep({"met": {"falls": met > 0, "speed": met > 1}})
+    trainer.save(tmp_path / "c.pkl", "key")
+    later = Trainer(WHO, reference(), _small(), seed=5, threads=1)
+    assert later.load(tmp_path / "c.pkl", "key")
+    steps, policy = later.chosen()
+    assert steps == sorted(kept)[2]
+    for (w, _), (known, _) in zip(policy.actor, kept[steps].actor, strict=True):
+        np.testing.assert_array_equal(w, known)
+
+
+def test_who_passes_the_free_walk_is_pushed_too(monkeypatch):
+    trainer = Trainer(WHO, reference(), _small(), seed=5, threads=1)
+    settings = trainer.settings["evaluation"]
+    settings |= {"walk_s": 1.0, "settle_s": 0.2, "walkers": 2, "battery_after_s": 0.5, "push_minutes": 6}
+    assert set(trainer.evaluate()) == {"steps", "walk", "met", "passed"}, "who falls is not"
+    monkeypatch.setattr("real2sim.twin.train.accepted", lambda walk, bars: {"falls": True})
+    verdict = trainer.evaluate()
+    assert verdict["met"] == {"falls": True, "battery": False, "pushes": False}
+    assert not verdict["passed"]
+    assert verdict["battery"]["trials"] == 128
+
+
 def test_a_short_training_learns():
     settings = _small(simulations=48, horizon=32)
     trainer = Trainer(WHO, reference(), settings, seed=1, threads=1)

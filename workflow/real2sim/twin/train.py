@@ -18,7 +18,16 @@ from real2sim.artefacts import write_json
 from real2sim.files import replacing
 from real2sim.provenance import fingerprint, provenance, sha256
 from real2sim.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
-from real2sim.twin.evaluate import accepted, free_walk, plain
+from real2sim.twin.evaluate import (
+    PUSH_DIRECTIONS,
+    PUSH_PHASES,
+    accepted,
+    free_walk,
+    plain,
+    push_battery,
+    pushed_walk,
+    withstands,
+)
 from real2sim.twin.gait import Reference
 from real2sim.twin.human import Body, body_of
 from real2sim.twin.policy import Policy, load_reference, save_policy
@@ -57,6 +66,8 @@ class Trainer:
         self.iteration = 0
         self.steps = 0
         self.passes = 0
+        # bars met, steps and policy of the examination that went best
+        self.best: tuple[int, int, Policy] | None = None
         self.episode = np.zeros(0)
         self.evaluations: list[dict[str, Any]] = []
         self.curve: list[dict[str, float]] = []
@@ -142,21 +153,55 @@ class Trainer:
         self.curve.append(row)
         return row
 
-    def evaluate(self) -> dict[str, Any]:
-        """Free walk of the policy as it is now, with the bars that it meets."""
-        e = self.settings["evaluation"]
-        env = WalkEnv(
+    def _env(self, nsim: int, seed: int) -> WalkEnv:
+        return WalkEnv(
             self.who,
             self.settings["human"],
             self.reference,
             self.options,
-            nsim=e["walkers"],
+            nsim=nsim,
             threads=self._threads,
-            seed=0,
+            seed=seed,
         )
-        walk = free_walk(env, self.policy(), seconds=e["walk_s"], settle_s=e["settle_s"])
-        met = accepted(walk, self.settings["acceptance"])
-        return {"steps": self.steps, "walk": walk, "met": met, "passed": all(met.values())}
+
+    def evaluate(self) -> dict[str, Any]:
+        """Examination of the policy as it is now, with the bars that it meets.
+
+        The free walk of the acceptance; where that is passed, also single pushes and a short walk under pushes, so
+        that a training does not end with a policy that walks well and falls easily.
+        """
+        e, bars = self.settings["evaluation"], self.settings["acceptance"]
+        policy = self.policy()
+        walk = free_walk(self._env(e["walkers"], 0), policy, seconds=e["walk_s"], settle_s=e["settle_s"])
+        met = accepted(walk, bars)
+        verdict: dict[str, Any] = {"steps": self.steps, "walk": walk, "met": met}
+        if all(met.values()):
+            crowd = self._env(PUSH_DIRECTIONS * PUSH_PHASES, 1)
+            verdict["battery"] = push_battery(
+                crowd,
+                policy,
+                force_n=e["battery_n"],
+                lasts_s=e["battery_s"],
+                settle_s=e["settle_s"],
+                after_s=e["battery_after_s"],
+            )
+            minutes = min(self.options["evaluate_push_minutes"], e["push_minutes"])
+            verdict["pushes"] = pushed_walk(
+                crowd, policy, force_n=e["push_n"][0], minutes=minutes, settle_s=e["settle_s"]
+            )
+            met["battery"] = verdict["battery"]["survived_share"] >= bars["battery_share"]
+            met["pushes"] = withstands(verdict["pushes"], bars)
+        return verdict | {"passed": all(met.values())}
+
+    def keep(self, verdict: dict[str, Any]) -> None:
+        """Remember the policy as it is now if none examined before it met more bars."""
+        met = sum(verdict["met"].values())
+        if self.best is None or met >= self.best[0]:
+            self.best = (met, self.steps, self.policy())
+
+    def chosen(self) -> tuple[int, Policy]:
+        """Steps and policy that met most bars when examined, the latest of equals; as it is now where none was."""
+        return (self.steps, self.policy()) if self.best is None else self.best[1:]
 
     # -------------------- going on after an interruption
 
@@ -181,7 +226,7 @@ class Trainer:
                 env.push_force,
             ),
             "counters": (self.iteration, self.steps, self.passes, list(self._lengths)),
-            "records": (self.evaluations, self.curve),
+            "records": (self.evaluations, self.curve, self.best),
         }
         with replacing(path) as temporary:
             temporary.write_bytes(pickle.dumps(state))
@@ -208,7 +253,7 @@ class Trainer:
         env.batch.state[:] = batch_state
         env._push_left, env._push_next = left, following
         self.iteration, self.steps, self.passes, self._lengths = state["counters"]
-        self.evaluations, self.curve = state["records"]
+        self.evaluations, self.curve, self.best = state["records"]
         return True
 
 
@@ -249,6 +294,7 @@ def train(
         ):
             verdict = trainer.evaluate()
             trainer.evaluations.append(verdict)
+            trainer.keep(verdict)
             trainer.passes = trainer.passes + 1 if verdict["passed"] else 0
             progress(f"{trainer.steps / 1e6:.2f} M steps: {summary(verdict)}")
             if trainer.passes >= o["passes"]:
@@ -308,7 +354,8 @@ def twin_train(
         f"{time.process_time() - used:.0f} s of processor",
         file=sys.stderr,
     )
-    save_policy(out, trainer.policy())
+    chosen_steps, policy = trainer.chosen()
+    save_policy(out, policy)
     write_json(
         record,
         {
@@ -317,6 +364,7 @@ def twin_train(
             "ended": ended,
             "reproducible": ended != "time",
             "steps": trainer.steps,
+            "policy_steps": chosen_steps,
             "bytes": out.stat().st_size,
             "evaluations": plain(trainer.evaluations),
             "curve": [{k: round(v, 6) for k, v in row.items()} for row in trainer.curve[::10]],

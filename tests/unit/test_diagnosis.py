@@ -12,6 +12,7 @@ from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Sc
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.attribute import (
     FAILED,
+    Pair,
     Screened,
     Search,
     _best_of_each,
@@ -24,6 +25,8 @@ from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_tri
 from real2sim.diagnosis.evidence import drawn_together
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
+from real2sim.diagnosis.stage import strap_verdicts
+from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
@@ -226,7 +229,10 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         "probabilities": probabilities,
         "where": {"stage": "interface", "axes": {"tx": 1.0, "ty": 0.0}, "regimes": regimes},
         "gap": {"J_base": 2.0, "J_floor": 1.0, "J_with_effect": 1.0},
-        "parameters": {"k_tx": {"base": 800.0, "with_effect": 710.0}},
+        "parameters": {
+            "k_tx": {"base": 800.0, "with_effect": 710.0, "ci95": [690.0, 730.0], "verdict": "determined"},
+            "d_ry": {"base": 2.0, "with_effect": 9.0, "ci95": [1.0, 15.0], "verdict": "not determined"},
+        },
         "baselines": {"AIC": verdict},
         "considered": [
             {"effects": ["slack"], "J_held_out": 1.2},
@@ -246,7 +252,7 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         ],
         "regimes": {"large amplitude, fast": 0.5, "small amplitude, fast": 0.4, "small amplitude, slow": 0.1},
         "visibility": {"target": 0.2, "predicted": 0.2},
-        "parameters": {"k_tx": {"value": 700.0}},
+        "parameters": {"k_tx": {"value": 700.0}, "d_ry": {"value": 3.0}},
     }
     return truth, target
 
@@ -333,6 +339,24 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
     far, near = np.append(np.zeros(12), 9.0), np.append(np.zeros(12), np.log(0.3))
     screened = Screened((placed,), 500.0, far, np.zeros(1), np.zeros((1, 1)), near)
     assert _Stuck().fit_screened(screened).chi2 == (100.0, 100.0)
+
+
+def test_strap_parameters_are_called_what_they_are(monkeypatch):
+    """Tight; wide; at a bound; known to nothing. What the fit leaves beyond noise widens them."""
+    sd = np.full(13, 0.05)
+    sd[1], sd[3] = 0.2, 0.9
+    monkeypatch.setattr("real2sim.diagnosis.stage._covariance", lambda pair, hypothesis: np.diag(sd**2))
+    bounds = Bounds.from_config(CONFIG["identification"]["bounds"])
+    z = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
+    z[2] = np.log(bounds.upper[2])
+    fit = Hypothesis((), np.append(z, 0.0), (1000.0, 900.0))
+    rows = strap_verdicts(Pair(None, None, bounds), fit, 1000, CONFIG["identifiability"])
+    assert [row["verdict"] for row in rows[:4]] == ["determined", "weak", "at bound", "not determined"]
+    assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * 0.05 * np.array([-1, 1])))
+    assert rows[2]["ci95"][1] == pytest.approx(bounds.upper[2])
+    worse = replace(fit, chi2=(9000.0, 900.0))
+    again = strap_verdicts(Pair(None, None, bounds), worse, 1000, CONFIG["identifiability"])
+    assert again[0]["verdict"] == "weak", "three times as wide"
 
 
 def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
@@ -427,6 +451,11 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
         np.mean([1 / 0.9, 1.0])
     )
     assert claims["gap closed of what lies above the estimated floor, median"]["met"] is None
+    sure = claims["RMS ln-error of the determined K, D cut by (median)"]
+    assert sure["value"] == pytest.approx(np.log(800 / 700) / np.log(710 / 700))
+    assert claims["RMS ln-error of K, D cut by (median)"]["value"] < sure["value"], "with what nobody knows"
+    held = claims["95 % intervals of the determined K, D hold the truth"]
+    assert (held["value"], held["n"]) == (1.0, 2), "of one right answer in the catalogue and one null"
     effects = {row["effect"]: row for row in score["per_effect"]}
     assert effects["slack"]["smallest_rho"] == 0.2
     assert effects["slack"]["smallest_severity"] == 0.3

@@ -92,7 +92,10 @@ ROBOT = STUDY["paths"]["robot"]
 PUBLISHED = STUDY["paths"]["published"]
 FIT_SETTINGS = json.dumps({key: STUDY[key] for key in ("identification", "plant", "robot")})
 DIAGNOSIS_SETTINGS = json.dumps(
-    {key: STUDY[key] for key in ("ingest", "identification", "plant", "robot", "diagnosis")}
+    {
+        key: STUDY[key]
+        for key in ("ingest", "identification", "identifiability", "plant", "robot", "diagnosis")
+    }
 )
 
 

@@ -13,6 +13,7 @@ from statsmodels.stats.proportion import proportion_confint
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECT_NAMES, GROUPS
 from real2sim.diagnosis.decide import NONE, UNKNOWN
+from real2sim.identification.identifiability import DETERMINED
 
 Row = dict[str, Any]
 
@@ -142,6 +143,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
     regime = [r for r in library if r["case"].get("regimes") and r["answer"]["where"].get("regimes")]
     f1 = _regime_f1(regime)
     cut = [c for r in library if (c := _parameter_cut(r)) is not None]
+    sure_cut = [c for r in library if (c := _parameter_cut(r, determined=True)) is not None]
     kept = [c for r in nulls if (c := _parameter_cut(r)) is not None]
     calibration = _calibration([r for rows in by.values() for r in rows])
     alarms = sum(r["answer"]["verdict"] != NONE for r in nulls)
@@ -207,6 +209,19 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
             len(cut),
             ">= 4 x",
             cut_median is not None and cut_median >= 4,
+        ),
+        _figure(
+            "RMS ln-error of the determined K, D cut by (median)",
+            float(np.median(sure_cut)) if sure_cut else None,
+            len(sure_cut),
+            "none: what the answer calls determined",
+            None,
+        ),
+        _claim(
+            "95 % intervals of the determined K, D hold the truth",
+            [hit for r in library + nulls if r["answer"]["verdict"] in r["names"] for hit in _held(r)],
+            "none",
+            lambda v: v >= 0.9,
         ),
         _figure(
             "RMS ln-error of K, D on null, times (median)",
@@ -285,18 +300,34 @@ def _closed(row: Row, least: float) -> float | None:
     return float((gap["J_base"] - gap["J_with_effect"]) / closable)
 
 
-def _parameter_cut(row: Row) -> float | None:
-    """RMS ln-error of the 12 parameters of the plain fit over that of the answer."""
+def _value(entry: Any) -> float:
+    """A true parameter, with or without its unit."""
+    return float(entry["value"] if isinstance(entry, dict) else entry)
+
+
+def _held(row: Row) -> list[bool]:
+    """Whether the interval of each parameter that the answer calls determined holds the truth."""
+    truth = row["case"].get("parameters") or {}
+    known = row["answer"]["parameters"]
+    return [
+        known[name]["ci95"][0] <= _value(value) <= known[name]["ci95"][1]
+        for name, value in truth.items()
+        if known.get(name, {}).get("verdict") == DETERMINED
+    ]
+
+
+def _parameter_cut(row: Row, determined: bool = False) -> float | None:
+    """RMS ln-error of the parameters of the plain fit over that of the answer; of all 12, or of the determined ones."""
     truth = row["case"].get("parameters")
     if not truth:
         return None
-
-    def value(entry: Any) -> float:
-        return float(entry["value"] if isinstance(entry, dict) else entry)
-
     names = row["answer"]["parameters"]
+    if determined:
+        names = {name: p for name, p in names.items() if p.get("verdict") == DETERMINED}
+    if not names:
+        return None
     errors = {
-        kind: np.sqrt(np.mean([np.log(p[kind] / value(truth[name])) ** 2 for name, p in names.items()]))
+        kind: np.sqrt(np.mean([np.log(p[kind] / _value(truth[name])) ** 2 for name, p in names.items()]))
         for kind in ("base", "with_effect")
     }
     return float(errors["base"] / max(errors["with_effect"], 1e-9))

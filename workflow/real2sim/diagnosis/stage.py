@@ -20,6 +20,7 @@ from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.geometry import AXES, INTERFACE_MARKERS
+from real2sim.identification.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
 from real2sim.identification.noise_floor import block_bootstrap_mean
 from real2sim.identification.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
@@ -92,7 +93,8 @@ def diagnose(
     train, held_out, neutral
         Folders of canonical tables of three trials: results/trials/<SUBJECT>/<TRIAL>.
     settings
-        Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the configuration.
+        Slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the
+        configuration.
     limits, step
         Joint limits and step study of the person, where they exist.
     gates
@@ -127,7 +129,7 @@ def diagnose(
             "train": [train.name],
             "held_out": [held_out.name],
         }
-        | _answer(pair, attribution, decision)
+        | _answer(pair, attribution, decision, settings["identifiability"])
         | {
             "model": described(_chosen(attribution, decision), pair.train.scales),
             "settings": settings,
@@ -173,7 +175,9 @@ def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decis
     pq.write_table(pa.table(columns), out, compression="zstd")
 
 
-def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[str, Any]:
+def _answer(
+    pair: Pair, attribution: Attribution, decision: Decision, identifiability: dict
+) -> dict[str, Any]:
     held_out = pair.held_out
     plain = attribution.plain
     best = attribution.hypotheses[decision.chosen] if decision.chosen is not None else plain
@@ -219,8 +223,14 @@ def _answer(pair: Pair, attribution: Attribution, decision: Decision) -> dict[st
         "next_trial": next_trial(decision),
         "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),
         "parameters": {
-            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)}
-            for name, a, b in zip(PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), strict=True)
+            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)} | known
+            for name, a, b, known in zip(
+                PARAMETERS,
+                np.exp(plain.z[:12]),
+                np.exp(best.z[:12]),
+                strap_verdicts(pair, best, attribution.samples[0], identifiability),
+                strict=True,
+            )
         },
     }
 
@@ -346,13 +356,43 @@ def _closed(
     return {"J_held_out": j, "gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
 
 
-def _add_intervals(pair: Pair, hypothesis: Hypothesis, placed: Any, named: dict[str, dict[str, Any]]) -> None:
-    """95 % intervals of an effect's parameters from the curvature at the joint optimum, cut at the search's bounds."""
+def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
+    """Covariance (12 + p, 12 + p) of ln-parameters and searched numbers, from the curvature at the joint optimum."""
     problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian
     normal[np.diag_indices_from(normal)] += 1e-9
-    covariance = np.linalg.inv(normal)
+    return np.asarray(np.linalg.inv(normal))
+
+
+def strap_verdicts(
+    pair: Pair, hypothesis: Hypothesis, samples: int, identifiability: dict
+) -> list[dict[str, Any]]:
+    """``ci95``, cut at the search's bounds, and ``verdict`` of each strap parameter of a fit, as in the identification.
+
+    What the fit leaves beyond noise (chi-squared over ``samples``) widens the intervals. ``identifiability`` is the
+    slice of the configuration.
+    """
+    excess = max(hypothesis.chi2[0] / samples, 1.0)
+    sd = np.sqrt(np.diag(_covariance(pair, hypothesis))[:12] * excess)
+    z, lower, upper = hypothesis.z[:12], np.log(pair.bounds.lower), np.log(pair.bounds.upper)
+    near = identifiability["at_bound_ln"]
+    out = []
+    for value, s, low, high in zip(z, sd, lower, upper, strict=True):
+        if s > identifiability["weak_sd_ln"]:
+            verdict = NOT_DETERMINED
+        elif value - low < near or high - value < near:
+            verdict = AT_BOUND
+        else:
+            verdict = WEAK if s > identifiability["determined_sd_ln"] else DETERMINED
+        ends = np.clip([value - 1.96 * s, value + 1.96 * s], low, high)
+        out.append({"ci95": [float(x) for x in np.exp(ends)], "verdict": verdict})
+    return out
+
+
+def _add_intervals(pair: Pair, hypothesis: Hypothesis, placed: Any, named: dict[str, dict[str, Any]]) -> None:
+    """95 % intervals of an effect's parameters from the curvature at the joint optimum, cut at the search's bounds."""
+    covariance = _covariance(pair, hypothesis)
     first = 12
     for other in hypothesis.effects:
         if other is placed:

@@ -29,6 +29,7 @@ from real2sim.figures.page import (
     table,
 )
 from real2sim.files import write_text
+from real2sim.identification.identifiability import DETERMINED
 
 STAGES = {
     "input": "input chain (pelvis markers to the replayed pelvis)",
@@ -658,7 +659,8 @@ def _parameters(d: Mapping[str, Any]) -> str:
     rows = []
     for name, about in rows_of.items():
         change = style.signed(100 * (about["with_effect"] / about["base"] - 1), 1) + " %"
-        mark = " (at bound)" if name in near else ""
+        verdict = about.get("verdict", "at bound" if name in near else DETERMINED)
+        mark = "" if verdict == DETERMINED else f" ({verdict})"
         cells = [
             rounded(about["base"], 4),
             rounded(about["with_effect"], 4) + mark,

@@ -342,20 +342,27 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):
-    """Tight; wide; at a bound; known to nothing. What the fit leaves beyond noise widens them."""
-    sd = np.full(13, 0.05)
+    """Tight; wide; at a bound; known to nothing; moved by noise. What the fit leaves beyond noise widens them."""
+    sd, bias = np.full(13, 0.05), np.zeros(13)
+    bias[4] = 0.2
+    monkeypatch.setattr(
+        "real2sim.diagnosis.stage.corrected", lambda pair, fit, **_: (fit.z - bias, np.diag(sd**2))
+    )
     sd[1], sd[3] = 0.2, 0.9
-    monkeypatch.setattr("real2sim.diagnosis.stage._covariance", lambda pair, hypothesis: np.diag(sd**2))
     bounds = Bounds.from_config(CONFIG["identification"]["bounds"])
     z = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z[2] = np.log(bounds.upper[2])
     fit = Hypothesis((), np.append(z, 0.0), (1000.0, 900.0))
-    rows = strap_verdicts(Pair(None, None, bounds), fit, 1000, CONFIG["identifiability"])
-    assert [row["verdict"] for row in rows[:4]] == ["determined", "weak", "at bound", "not determined"]
+    pair = Pair(None, None, bounds)
+    rows = strap_verdicts(pair, fit, 1000, CONFIG)
+    verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
+    assert [row["verdict"] for row in rows[:5]] == verdicts
+    assert rows[4]["bias_ln"] == pytest.approx(0.2)
+    assert rows[4]["ci95"][0] < np.exp(z[4] - 0.2) < rows[4]["ci95"][1]
     assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * 0.05 * np.array([-1, 1])))
     assert rows[2]["ci95"][1] == pytest.approx(bounds.upper[2])
     worse = replace(fit, chi2=(9000.0, 900.0))
-    again = strap_verdicts(Pair(None, None, bounds), worse, 1000, CONFIG["identifiability"])
+    again = strap_verdicts(pair, worse, 1000, CONFIG)
     assert again[0]["verdict"] == "weak", "three times as wide"
 
 

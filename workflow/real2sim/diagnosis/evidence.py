@@ -8,6 +8,7 @@ band of frequency and over all channels at once. After that a sum of squares is 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -199,33 +200,55 @@ class Evidence:
 
     def _noise(self, parameters: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
         """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
-        trial, settings = self.trial, self.settings["ingest"]
-        n, rate = len(trial.time_s), settings["rate_hz"]
-
-        def filtered(names: tuple[str, ...], cutoff_hz: float) -> np.ndarray:
-            white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
-            return signals.lowpass(white.reshape(n, -1), rate, cutoff_hz, settings["filter_order"]).reshape(
-                white.shape
-            )
-
+        settings = self.settings["ingest"]
         replay = self.replay([], draws + 1)
+        markers = np.empty((draws, len(self.trial.time_s), 2, 3))
+        for i in range(draws):
+            self._shake(replay, i + 1, rng)
+            own = self._filtered_noise(INTERFACE_MARKERS, settings["cutoff_hz"], rng)
+            markers[i] = own - own[: self.context.start].mean(axis=0)
+        return self._without_gaps(self._apart(replay, parameters, draws, markers))
+
+    def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+        """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
+        replay, rng = self.replay([], draws + 1), np.random.default_rng(seed)
+        for i in range(draws):
+            self._shake(replay, i + 1, rng)
+        return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0))
+
+    def _filtered_noise(
+        self, names: tuple[str, ...], cutoff_hz: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Noise (n, m, 3) [m] of markers as the filter leaves it."""
+        settings, n = self.settings["ingest"], len(self.trial.time_s)
+        white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
+        filtered = signals.lowpass(
+            white.reshape(n, -1), settings["rate_hz"], cutoff_hz, settings["filter_order"]
+        )
+        return filtered.reshape(white.shape)
+
+    def _shake(self, replay: EffectReplay, i: int, rng: np.random.Generator) -> None:
+        """Give simulation ``i`` of a replay a pelvis that was measured with other noise."""
+        trial = self.trial
         clean = _rigid_markers(trial)
         r_clean, p_clean = pelvis_frame(*clean)
-        start = self.context.start
-        markers = np.empty((draws, n, 2, 3))
-        for i in range(draws):
-            r, p = pelvis_frame(*(clean + np.moveaxis(filtered(PELVIS_MARKERS, self.pelvis_cutoff_hz), 1, 0)))
-            turn = np.einsum("nij,nkj->nik", r, r_clean)
-            rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-            replay.set_command(i + 1, replay.command_for(rotation, position))
-            own = filtered(INTERFACE_MARKERS, settings["cutoff_hz"])
-            markers[i] = own - own[:start].mean(axis=0)
+        noise = self._filtered_noise(PELVIS_MARKERS, self.pelvis_cutoff_hz, rng)
+        r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
+        turn = np.einsum("nij,nkj->nik", r, r_clean)
+        rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
+        replay.set_command(i, replay.command_for(rotation, position))
+
+    def _apart(
+        self, replay: EffectReplay, parameters: np.ndarray, draws: int, markers: np.ndarray | float
+    ) -> np.ndarray:
+        """Residuals (draws, n, c) of the shaken simulations against the first, less noise of the markers themselves."""
         paths, joints = replay.run_effects(np.tile(parameters, (draws + 1, 1)), [])
-        error = (paths[1:] - paths[:1] - markers).reshape(draws, n, 6)
+        error = (paths[1:] - paths[:1] - markers).reshape(draws, -1, 6)
         if self.robot is not None:
             moved = joints[1:] - joints[:1]
-            error = np.concatenate([error, moved - moved[:, :start].mean(axis=1, keepdims=True)], axis=2)
-        return self._without_gaps(error)
+            moved = moved - moved[:, : self.context.start].mean(axis=1, keepdims=True)
+            error = np.concatenate([error, moved], axis=2)
+        return error
 
 
 def spikes(markers: np.ndarray, rate_hz: float) -> np.ndarray:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import Attribution, Pair, attribute, finished, plain_fit
+from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
 from real2sim.diagnosis.export import described
@@ -113,6 +114,7 @@ def diagnose(
     attribution = attribute(pair, z, settings["diagnosis"]["search"], progress)
     decision = _decided(pair, attribution, settings["diagnosis"])
     progress(f"verdict {decision.verdict}")
+    known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:
         _write_traces(traces, pair.held_out, attribution, decision)
     phantom = pair.train.trial.phantom or pair.held_out.trial.phantom
@@ -129,7 +131,7 @@ def diagnose(
             "train": [train.name],
             "held_out": [held_out.name],
         }
-        | _answer(pair, attribution, decision, settings["identifiability"])
+        | _answer(pair, attribution, decision, known)
         | {
             "model": described(_chosen(attribution, decision), pair.train.scales),
             "settings": settings,
@@ -176,7 +178,7 @@ def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decis
 
 
 def _answer(
-    pair: Pair, attribution: Attribution, decision: Decision, identifiability: dict
+    pair: Pair, attribution: Attribution, decision: Decision, known: list[dict[str, Any]]
 ) -> dict[str, Any]:
     held_out = pair.held_out
     plain = attribution.plain
@@ -223,13 +225,9 @@ def _answer(
         "next_trial": next_trial(decision),
         "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),
         "parameters": {
-            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)} | known
-            for name, a, b, known in zip(
-                PARAMETERS,
-                np.exp(plain.z[:12]),
-                np.exp(best.z[:12]),
-                strap_verdicts(pair, best, attribution.samples[0], identifiability),
-                strict=True,
+            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)} | verdict
+            for name, a, b, verdict in zip(
+                PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), known, strict=True
             )
         },
     }
@@ -365,28 +363,36 @@ def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     return np.asarray(np.linalg.inv(normal))
 
 
-def strap_verdicts(
-    pair: Pair, hypothesis: Hypothesis, samples: int, identifiability: dict
-) -> list[dict[str, Any]]:
-    """``ci95``, cut at the search's bounds, and ``verdict`` of each strap parameter of a fit, as in the identification.
+def strap_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: dict) -> list[dict[str, Any]]:
+    """``ci95``, ``bias_ln`` and ``verdict`` of each strap parameter of a fit, as in the identification.
 
-    What the fit leaves beyond noise (chi-squared over ``samples``) widens the intervals. ``identifiability`` is the
-    slice of the configuration.
+    The interval, cut at the search's bounds, is about the point without the bias by noise of the pelvis, ``bias_ln``
+    is the way there. What the fit leaves beyond noise (chi-squared over ``samples``) widens it. ``settings`` are the
+    slices ``diagnosis`` and ``identifiability``.
     """
+    options, limits = settings["diagnosis"]["search"], settings["identifiability"]
+    point, covariance = corrected(
+        pair,
+        hypothesis,
+        draws=options["corrected_draws"],
+        iterations=options["corrected_iterations"],
+        seed=options["seed"],
+    )
     excess = max(hypothesis.chi2[0] / samples, 1.0)
-    sd = np.sqrt(np.diag(_covariance(pair, hypothesis))[:12] * excess)
-    z, lower, upper = hypothesis.z[:12], np.log(pair.bounds.lower), np.log(pair.bounds.upper)
-    near = identifiability["at_bound_ln"]
+    sd = np.sqrt(np.diag(covariance)[:12] * excess)
+    bias = hypothesis.z[:12] - point[:12]
+    lower, upper = np.log(pair.bounds.lower), np.log(pair.bounds.upper)
+    near = limits["at_bound_ln"]
     out = []
-    for value, s, low, high in zip(z, sd, lower, upper, strict=True):
-        if s > identifiability["weak_sd_ln"]:
+    for value, s, b, low, high in zip(hypothesis.z[:12], sd, bias, lower, upper, strict=True):
+        if s > limits["weak_sd_ln"]:
             verdict = NOT_DETERMINED
         elif value - low < near or high - value < near:
             verdict = AT_BOUND
         else:
-            verdict = WEAK if s > identifiability["determined_sd_ln"] else DETERMINED
-        ends = np.clip([value - 1.96 * s, value + 1.96 * s], low, high)
-        out.append({"ci95": [float(x) for x in np.exp(ends)], "verdict": verdict})
+            verdict = WEAK if max(s, abs(b)) > limits["determined_sd_ln"] else DETERMINED
+        ends = np.clip([value - b - 1.96 * s, value - b + 1.96 * s], low, high)
+        out.append({"ci95": [float(x) for x in np.exp(ends)], "bias_ln": float(b), "verdict": verdict})
     return out
 
 

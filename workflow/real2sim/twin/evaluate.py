@@ -233,6 +233,18 @@ def push_battery(
     }
 
 
+def battery_of(env: WalkEnv, act: Act, settings: dict[str, Any]) -> dict[str, Any]:
+    """`push_battery` as the slice ``twin.evaluation`` asks for it."""
+    return push_battery(
+        env,
+        act,
+        force_n=settings["battery_n"],
+        lasts_s=settings["battery_s"],
+        settle_s=settings["settle_s"],
+        after_s=settings["battery_after_s"],
+    )
+
+
 def environment(policy: Policy, settings: dict, *, nsim: int, threads: int, seed: int) -> WalkEnv:
     """Environment of a policy's own person and gait; ``settings`` is the slice ``twin``."""
     return WalkEnv(

@@ -21,10 +21,10 @@ from real2sim.twin.evaluate import (
     PUSH_DIRECTIONS,
     PUSH_PHASES,
     accepted,
+    battery_of,
     environment,
     free_walk,
     plain,
-    push_battery,
     pushed_walk,
     withstands,
 )
@@ -43,14 +43,7 @@ def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
         pushed_walk(crowd, learnt, force_n=f, minutes=e["push_minutes"], settle_s=e["settle_s"])
         for f in e["push_n"]
     ]
-    battery = push_battery(
-        crowd,
-        learnt,
-        force_n=e["battery_n"],
-        lasts_s=e["battery_s"],
-        settle_s=e["settle_s"],
-        after_s=e["battery_after_s"],
-    )
+    battery = battery_of(crowd, learnt, e)
     met = accepted(walk, bars)
     met["pushes"] = withstands(pushes[0], bars)
     met["battery"] = battery["survived_share"] >= bars["battery_share"]

@@ -22,9 +22,9 @@ from real2sim.twin.evaluate import (
     PUSH_DIRECTIONS,
     PUSH_PHASES,
     accepted,
+    battery_of,
     free_walk,
     plain,
-    push_battery,
     pushed_walk,
     withstands,
 )
@@ -177,14 +177,7 @@ class Trainer:
         verdict: dict[str, Any] = {"steps": self.steps, "walk": walk, "met": met}
         if all(met.values()):
             crowd = self._env(PUSH_DIRECTIONS * PUSH_PHASES, 1)
-            verdict["battery"] = push_battery(
-                crowd,
-                policy,
-                force_n=e["battery_n"],
-                lasts_s=e["battery_s"],
-                settle_s=e["settle_s"],
-                after_s=e["battery_after_s"],
-            )
+            verdict["battery"] = battery_of(crowd, policy, e)
             minutes = min(self.options["evaluate_push_minutes"], e["push_minutes"])
             verdict["pushes"] = pushed_walk(
                 crowd, policy, force_n=e["push_n"][0], minutes=minutes, settle_s=e["settle_s"]

@@ -396,7 +396,7 @@ def test_the_best_hypothesis_of_each_effect_comes_in_the_order_of_the_best():
         return Hypothesis((Placed(by_name[name], places[name][axis], SCALES),), np.zeros(13), (1.0, 1.0))
 
     found = [single("coulomb", 0), single("preload", 1), single("coulomb", 2)]
-    assert [h.key for h in _first_of_each(found)] == ["coulomb tx", "preload ty"]
+    assert [h.key for h in _first_of_each(found, lambda h: h.names[0])] == ["coulomb tx", "preload ty"]
 
 
 def test_a_set_is_pruned_down_to_single_effects():

@@ -113,10 +113,24 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "ambiguity_group": [verdict, "soft_tissue"] if named else [verdict],
         "next_trial": "one motion at three amplitudes" if named else None,
         "parameters": {
-            "k_tx": {"base": 725.0, "with_effect": 8000.0 if named else 725.0, "unit": "N/m"},
-            "d_tx": {"base": 40.0, "with_effect": 39.0 if named else 40.0, "unit": "Ns/m"},
+            "k_tx": {
+                "base": 725.0,
+                "with_effect": 8000.0 if named else 725.0,
+                "unit": "N/m",
+                "ci95": [7123.0, 8000.0],
+                "bias_ln": 0.0,
+                "verdict": "at bound",
+            },
+            "d_tx": {
+                "base": 40.0,
+                "with_effect": 39.0 if named else 40.0,
+                "unit": "Ns/m",
+                "ci95": [12.0, 81.0],
+                "bias_ln": 0.4,
+                "verdict": "weak",
+            },
         },
-        "settings": {"identification": {"bounds": {"k_tx": [150, 8000]}, "at_bound_ln": 0.02}},
+        "settings": {},
         "provenance": {
             "inputs_sha256": {"/a/pose.parquet": "ab" * 32},
             "python": "3.11",
@@ -160,7 +174,8 @@ def test_page_tells_verdict_causes_values_and_what_next(tmp_path):
     assert "[80, 100]" in text
     assert "One motion at three amplitudes." in text
     assert "do not tell slack from soft tissue" in text
-    assert "8000 (at bound)" in text
+    for cell in ("8000", "[7120, 8000]", "at bound", "[12, 81]", "weak"):
+        assert cell in text
     assert "Marker IF_R along world z" in text
     assert "noise (2 SD)" in text
     assert "all others together" in text
@@ -262,6 +277,14 @@ def _score(**changes):
                 "target": "≤ 300 s",
                 "met": False,
             },
+            {
+                "claim": "cut by",
+                "value": 5.1,
+                "n": 31,
+                "wilson95": None,
+                "target": "none: no bar",
+                "met": None,
+            },
         ],
         "confusion": {"labels": ["slack", "none", "unknown"], "counts": [[19, 1, 0], [2, 8, 0], [0, 0, 10]]},
         "power": [
@@ -296,6 +319,8 @@ def _suite(folder, score):
 def test_suite_page_tells_targets_confusion_and_baselines(tmp_path):
     text = _suite(tmp_path, _score()).text
     assert "1 of 2 targets are met on 40 cases; missed: slowest." in text
+    assert "5.1" in text
+    assert "510" not in text, "a factor without a target is no percentage"
     assert "95.0 %" in text
     assert "[80.0 %, 99.0 %]" in text
     assert "always <none>" in text

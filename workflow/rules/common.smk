@@ -160,7 +160,8 @@ def protocols():
     for name, person in PEOPLE.items():
         alike.setdefault(tuple(person.trials), []).append(name)
     shared = [names for names in alike.values() if len(names) > 1]
-    endings = {names[0]: f"_{i}" if i else "" for i, names in enumerate(shared)}
+    # nobody's name has an underscore
+    endings = {names[0]: f"_shared_{i}" if i else "" for i, names in enumerate(shared)}
     return [
         (endings.get(names[0], f"_{names[0]}"), list(trials), "|".join(names))
         for trials, names in alike.items()
@@ -174,16 +175,6 @@ def raw_files(wildcards):
         path for files in person.trials.values() for path in (files.markers, files.markerless, files.log)
     )
     return [str(person.folder / "subject.yaml"), *(str(path) for path in recordings if path is not None)]
-
-
-def canonical_tables(people=None):
-    """Canonical tables of all trials of some people (all by default)."""
-    return [
-        f"results/trials/{name}/{trial}/{table}"
-        for name in (PEOPLE if people is None else people)
-        for table in TABLES
-        for trial in PEOPLE[name].trials
-    ]
 
 
 def poses_of(subject, *kinds):

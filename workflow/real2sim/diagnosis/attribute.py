@@ -6,9 +6,10 @@ own parameters) and by what it predicts for a trial of another regime, never by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares
 from real2sim.identification.parameters import Bounds
 
+T = TypeVar("T")
+
 # A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
-# How often a start that MuJoCo gives up on is weakened
+# Starts tried, weaker and weaker, where MuJoCo gives up
 WEAKENINGS = 3
 # Longest step in ln or searched numbers that the screening believes
 LONGEST_STEP = 1.5
@@ -147,11 +150,10 @@ class Search:
         """
         residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
         z = np.concatenate([base, x])
-        for _ in range(WEAKENINGS):
+        for weaker in _weakened(effects[-1], x):
+            z = np.concatenate([base, weaker])
             if np.isfinite(residuals.costs(z[None])[0]):
                 break
-            x = effects[-1].weaker(x)
-            z = np.concatenate([base, x])
         self.evaluations += residuals.evaluations
         return z
 
@@ -179,13 +181,12 @@ class Search:
         residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
         own = np.arange(len(base.z), len(residuals.lower))
         best: Screened | None = None
-        for x in placed.starts():
-            for _ in range(WEAKENINGS):
+        for start in placed.starts():
+            for x in _weakened(placed, start):
                 z = np.concatenate([base.z, x])
                 r, jx = residuals.with_jacobian(z, own)
                 if np.isfinite(r).all() and np.isfinite(jx).all():
                     break
-                x = placed.weaker(x)
             else:
                 continue
             # prior rows of the base's own effects stand before those of the new one
@@ -215,6 +216,13 @@ class Search:
             out.append(Screened(effects, cost, z + step, r, jacobian[:, 12:], z))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
+
+
+def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
+    """A start (p,) of an effect, then weaker and weaker ones."""
+    for _ in range(WEAKENINGS):
+        yield x
+        x = placed.weaker(x)
 
 
 def _bounded_step(
@@ -254,7 +262,7 @@ def attribute(
     """
     search = Search(pair, settings)
     plain = search.fit((), start, final=True)
-    count = [e.samples for e in (pair.train, pair.held_out)]
+    count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
     everything = candidates(pair.train.scales) if places is None else list(places)
     singles = search.screen(plain, everything)
@@ -269,7 +277,7 @@ def attribute(
         hypotheses += more
         hypotheses += _grow(search, hypotheses, promising, sum(count), settings, progress)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
-    return Attribution(plain, hypotheses, listed, (count[0], count[1]), search.evaluations)
+    return Attribution(plain, hypotheses, listed, count, search.evaluations)
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
@@ -312,12 +320,13 @@ def _pairs(
     options = search.pairs(plain, singles[: settings["pair_pool"]], settings["pair_refits"])
     # an effect that promised nothing beside the whole gap may be all that is left once the other is there
     screens: list[list[Screened]] = []
-    for single in _first_of_each(found)[: settings["pair_screens"]]:
+    singly = _first_of_each(found, lambda h: h.names[0])
+    for single in singly[: settings["pair_screens"]]:
         screens.append(search.screen(single, _without(everything, single)))
         options += screens[-1][: settings["pair_refits"]]
     promising = [*found[0].effects, *_promising(screens[0] if screens else singles, settings["pair_pool"])]
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
-    for single in _first_of_each(found)[: settings["spread_refits"]]:
+    for single in singly[: settings["spread_refits"]]:
         options += search.screen(single, _elsewhere(single, singles))[:1]
     out: list[Hypothesis] = []
     seen = set()
@@ -335,11 +344,8 @@ def _pairs(
 def _promising(screened: Sequence[Screened], most: int) -> list[Placed]:
     """The first ``most`` places of a screening, and the best place of every effect."""
     places = [s.effects[-1] for s in screened]
-    first: dict[str, Placed] = {}
-    for placed in places:
-        first.setdefault(placed.effect.name, placed)
-    chosen = {placed.key: placed for placed in (*places[:most], *first.values())}
-    return list(chosen.values())
+    first = _first_of_each(places, lambda placed: placed.effect.name)
+    return list({placed.key: placed for placed in (*places[:most], *first)}.values())
 
 
 def _without(places: Sequence[Placed], hypothesis: Hypothesis) -> list[Placed]:
@@ -348,11 +354,11 @@ def _without(places: Sequence[Placed], hypothesis: Hypothesis) -> list[Placed]:
     return [placed for placed in places if placed.key not in taken]
 
 
-def _first_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best single hypothesis of every effect, in the order of ``found``."""
-    first: dict[str, Hypothesis] = {}
-    for h in found:
-        first.setdefault(h.names[0], h)
+def _first_of_each(items: Sequence[T], name: Callable[[T], str]) -> list[T]:
+    """The first of the items of every name, in their order."""
+    first: dict[str, T] = {}
+    for item in items:
+        first.setdefault(name(item), item)
     return list(first.values())
 
 

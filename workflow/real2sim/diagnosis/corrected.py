@@ -10,10 +10,11 @@ trusted, and is no fit itself.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from real2sim.diagnosis.attribute import Pair
-from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 
 # Step of the ln-parameters for derivatives of what noise does
@@ -24,13 +25,13 @@ _LEAST_SHARE = 0.02
 _LONGEST, _ENOUGH_SD = 0.7, 0.1
 
 
-def noise_terms(evidence: Evidence, z: np.ndarray, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """What noise adds to slope (12,) and normal matrix (12, 12) of half the sum of squares at ln-parameters (12,)."""
-    shaken = evidence.shaken(draws, seed)
+def noise_terms(
+    residuals: Callable[[np.ndarray], np.ndarray], z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What noise adds to slope (12,) and normal matrix (12, 12) of half the sum of squares at ln-parameters (12,).
 
-    def residuals(point: np.ndarray) -> np.ndarray:
-        return evidence.whiten(shaken(np.exp(point)))
-
+    ``residuals`` (draws, n_r) are what it does to them at a point (12,).
+    """
     here = residuals(z)
     slopes = []
     for i in range(12):
@@ -38,8 +39,8 @@ def noise_terms(evidence: Evidence, z: np.ndarray, draws: int, seed: int) -> tup
         step[i] = _STEP_LN
         slopes.append((residuals(z + step) - residuals(z - step)) / (2 * _STEP_LN))
     tangent = np.array(slopes)
-    slope = np.einsum("idr,dr->i", tangent, here) / draws
-    normal = np.einsum("idr,jdr->ij", tangent, tangent, optimize=True) / draws
+    slope = np.einsum("idr,dr->i", tangent, here) / len(here)
+    normal = np.einsum("idr,jdr->ij", tangent, tangent, optimize=True) / len(here)
     return slope, normal
 
 
@@ -53,12 +54,17 @@ def corrected(
     """
     problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
     everything = np.arange(len(hypothesis.z))
+    shaken = pair.train.shaken(draws, seed)
+
+    def noise(point: np.ndarray) -> np.ndarray:
+        return pair.train.whiten(shaken(np.exp(point)))
+
     z = hypothesis.z.copy()
     for iteration in range(iterations + 1):
         r, jacobian = problem.with_jacobian(z, everything)
         slope, normal = jacobian.T @ r, jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += 1e-9
-        noise_slope, noise_normal = noise_terms(pair.train, z[:12], draws, seed)
+        noise_slope, noise_normal = noise_terms(noise, z[:12])
         if not np.isfinite(noise_normal).all():
             return z, np.asarray(np.linalg.inv(normal))
         slope[:12] -= noise_slope

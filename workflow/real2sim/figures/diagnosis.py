@@ -29,7 +29,6 @@ from real2sim.figures.page import (
     table,
 )
 from real2sim.files import write_text
-from real2sim.identification.identifiability import DETERMINED
 
 STAGES = {
     "input": "input chain (pelvis markers to the replayed pelvis)",
@@ -654,26 +653,26 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
 
 def _parameters(d: Mapping[str, Any]) -> str:
     rows_of = d["parameters"]
-    near = _at_bound(d)
     same = all(about["base"] == about["with_effect"] for about in rows_of.values())
     rows = []
     for name, about in rows_of.items():
         change = style.signed(100 * (about["with_effect"] / about["base"] - 1), 1) + " %"
-        verdict = about.get("verdict", "at bound" if name in near else DETERMINED)
-        mark = "" if verdict == DETERMINED else f" ({verdict})"
-        cells = [
-            rounded(about["base"], 4),
-            rounded(about["with_effect"], 4) + mark,
-            change,
-            escape(about["unit"]),
-        ]
-        rows.append([escape(name), *(cells if not same else [cells[0] + mark, cells[3]])])
-    head = ["Parameter", "Plain", "With effect", "Change", "Unit"]
+        value = rounded(about["with_effect"], 4)
+        known = [_interval(about["ci95"]), escape(about["verdict"]), escape(about["unit"])]
+        moved = [rounded(about["base"], 4), value, change]
+        rows.append([escape(name), *([value] if same else moved), *known])
     values = table(
-        head if not same else ["Parameter", "Plain", "Unit"],
+        [
+            "Parameter",
+            *(["Plain"] if same else ["Plain", "With effect", "Change"]),
+            "95 %",
+            "Verdict",
+            "Unit",
+        ],
         rows,
-        caption="The parameters of the interface, fitted on the training trial",
-        numeric=(1, 2, 3) if not same else (1,),
+        caption="The parameters of the interface, fitted on the training trial. The interval is about where they would "
+        "be without the noise of the replayed pelvis",
+        numeric=(1, 2) if same else (1, 2, 3, 4),
     )
     if same:
         return section(
@@ -685,18 +684,6 @@ def _parameters(d: Mapping[str, Any]) -> str:
     return section(
         "parameters", "How the parameters move", '<div class="grid">', _ratio_figure(d), values, "</div>"
     )
-
-
-def _at_bound(d: Mapping[str, Any]) -> set[str]:
-    """Parameters of the fit with effect that stand at a bound of the search, where the settings are written down."""
-    settings = d.get("settings", {}).get("identification", {})
-    tolerance = settings.get("at_bound_ln", 0.0)
-    out = set()
-    for name, (low, high) in settings.get("bounds", {}).items():
-        z = math.log(d["parameters"][name]["with_effect"]) if name in d["parameters"] else math.nan
-        if z - math.log(low) < tolerance or math.log(high) - z < tolerance:
-            out.add(name)
-    return out
 
 
 def _ratio_figure(d: Mapping[str, Any]) -> str:

@@ -98,7 +98,7 @@ def _lead(s: Mapping[str, Any]) -> str:
 
 def _amount(row: Mapping[str, Any]) -> str:
     """As a percentage where it is a share, or where the target is one."""
-    share = row["wilson95"] is not None or "%" in row["target"] or row["met"] is None
+    share = row["wilson95"] is not None or "%" in row["target"]
     return percent(row["value"], 1) if share else rounded(row["value"])
 
 

@@ -8,7 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Context, Placed, Scales
+from real2sim.coupling.effects import (
+    EFFECT_NAMES,
+    EFFECTS,
+    Context,
+    Placed,
+    PlannedForce,
+    Scales,
+    _bouc_wen,
+)
+from real2sim.coupling.plant import RestPose
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.attribute import (
     FAILED,
@@ -17,15 +26,19 @@ from real2sim.diagnosis.attribute import (
     Search,
     _best_of_each,
     _first_of_each,
+    _fresh_starts,
     _promising,
     _pruned,
     _single,
+    _swapped,
+    is_makeshift,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
 from real2sim.diagnosis.evidence import drawn_together
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import strap_verdicts
+from real2sim.geometry import interface_frame
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 
@@ -38,6 +51,10 @@ SCALES = Scales(
     PRIOR[6:],
     np.array([65.0, 35.0, 7.0, 0.24, 0.22, 4.0]),
 )
+# Interface markers are so far from their middle [m]
+HALF = 0.17
+Pose = tuple[np.ndarray, np.ndarray]
+LEVEL = np.eye(3), np.array([0.0, 0.0, 0.95])
 # Searched numbers at which an effect does nothing
 NEUTRAL = {
     "stiffening": [0.0],
@@ -62,12 +79,27 @@ NEUTRAL = {
 }
 
 
-def replay(effects: list[Placed], nsim: int = 1, seconds: float = 3.0) -> EffectReplay:
+def replay(
+    effects: list[Placed],
+    nsim: int = 1,
+    seconds: float = 3.0,
+    seen: Pose = LEVEL,
+    half: float = HALF,
+    rest: RestPose = REST,
+    noise: np.ndarray | float = 0.0,
+    neutral_at: np.ndarray | float = 0.0,
+) -> EffectReplay:
+    """Replay of a smooth motion.
+
+    ``seen`` is where the interface's markers, ``half`` [m] from their middle, put it at first; ``noise`` (n, 6) is
+    added to its measured coordinates; ``neutral_at`` (3,) [m] is where the neutral trial was taken, from here.
+    """
     offset = smooth_motion(seconds)
     time = np.arange(len(offset)) / 100
     rotation = rotation_xyz(offset[:, 3:])
     position = np.array([0.0, 0.0, 0.95]) - REST.position + offset[:, :3]
-    still = np.zeros((len(time), 2, 3))
+    across = half * np.array([seen[0][:, 1], -seen[0][:, 1]])
+    still = np.tile(seen[1] + across, (len(time), 1, 1))
     context = Context(
         time,
         time,
@@ -78,10 +110,10 @@ def replay(effects: list[Placed], nsim: int = 1, seconds: float = 3.0) -> Effect
         100.0,
         still,
         np.zeros((len(time), 2), bool),
-        -offset,
+        -offset + noise,
         np.gradient(-offset, 0.01, axis=0),
         np.eye(3),
-        position[0],
+        position[0] + neutral_at,
     )
     return EffectReplay(
         effects=effects,
@@ -93,9 +125,9 @@ def replay(effects: list[Placed], nsim: int = 1, seconds: float = 3.0) -> Effect
         time_s=time,
         pelvis_rotation=rotation,
         pelvis_position=position,
-        start_rotation=np.eye(3),
-        start_position=np.array([0.0, 0.0, 0.95]),
-        rest=REST,
+        start_rotation=seen[0],
+        start_position=seen[1],
+        rest=rest,
         limits=None,
         nsim=nsim,
     )
@@ -116,7 +148,7 @@ def test_every_entry_says_what_it_is():
         assert effect.equation
         assert effect.separating_trial
         assert effect.group
-        acts = [effect.plant, effect.input_chain, effect.output_chain]
+        acts = [effect.plant, effect.input_chain, effect.output_chain, effect.sighting]
         assert any(part is not None for part in acts)
         for parameter in effect.parameters:
             assert parameter.lower < parameter.upper
@@ -161,19 +193,109 @@ def test_late_markers_are_the_plain_ones_later(plain):
     np.testing.assert_allclose(late[0, 50:], plain[0, 45:-5], atol=1e-6)
 
 
-def test_markers_off_their_centres_are_apart_and_the_strap_turns_about_another_point(plain):
-    effect = next(e for e in EFFECTS if e.name == "marker_offset")
-    placed = Placed(effect, effect.places()[0], SCALES)
-    apart, _ = replay([placed]).run_effects(PRIOR[None], [np.array([[0.0, 0.01, 0.0, 0.0, -0.01, 0.0]])])
-    # 10 mm outward each along the measured line of the markers, the strap as it was
-    along = rotation_xyz(smooth_motion(3.0)[:, 3:])[:, :, 1]
-    np.testing.assert_allclose(apart[0] - plain[0], 0.01 * np.stack([along, -along], axis=1), atol=1e-9)
-    # both forward: as far apart as they were, but the centre of the strap is 20 mm behind what they show
-    forward = np.array([[0.02, 0.0, 0.0, 0.02, 0.0, 0.0]])
-    moved, _ = replay([placed]).run_effects(PRIOR[None], [forward])
-    distance = np.linalg.norm(moved[0, :, 0] - moved[0, :, 1], axis=1)
-    np.testing.assert_allclose(distance, np.linalg.norm(plain[0, :, 0] - plain[0, :, 1], axis=1), atol=1e-9)
-    assert np.abs(moved[0] - plain[0]).max() > 1e-4
+def pelvis_at_start() -> Pose:
+    """Pelvis of the motion's first sample, which the context takes for that of the neutral trial."""
+    return np.eye(3), replay([])._context.neutral_position
+
+
+def placed_whole(name: str, form: str = "") -> Placed:
+    effect = next(e for e in EFFECTS if e.name == name and e.form == form)
+    return Placed(effect, effect.places()[0], SCALES)
+
+
+def test_a_turned_lab_of_the_interface_gives_back_the_motion_that_it_turned(plain):
+    turn = rotation_xyz(np.array([0.0, 0.0, 0.12]))
+    pelvis, origin = pelvis_at_start()
+    true = np.eye(3), np.array([0.0, 0.0, 0.95])
+    seen = turn @ true[0], turn @ true[1]
+    # the rest pose was taken in two labs as well
+    rest = RestPose(
+        pelvis.T @ turn @ pelvis @ REST.rotation,
+        pelvis.T @ (turn @ (origin + pelvis @ REST.position) - origin),
+    )
+    model = replay([placed_whole("lab_yaw", "interface")], seen=seen, rest=rest)
+    paths, joints = model.run_effects(PRIOR[None], [np.array([[0.12]])])
+    np.testing.assert_allclose(paths[0], plain[0] @ turn.T, atol=1e-9)
+    # the log is laid on the interface's markers
+    _, own = replay([]).run_effects(PRIOR[None], [])
+    np.testing.assert_allclose(joints[0, :, :2], own[0, :, :2] @ turn[:2, :2].T, atol=1e-9)
+    np.testing.assert_allclose(joints[0, :, 2:], own[0, :, 2:], atol=1e-9)
+
+
+def test_markers_off_their_centres_give_back_the_motion_of_the_centres(plain):
+    offsets = np.array([[0.012, -0.004, 0.008], [-0.005, 0.015, 0.003]])
+    pelvis, origin = pelvis_at_start()
+    position = np.array([0.0, 0.0, 0.95])
+    centres = position + np.array([[0.0, HALF, 0.0], [0.0, -HALF, 0.0]])
+    seen = interface_frame(*(centres + offsets))
+    # in the neutral trial the interface was where REST says
+    level = pelvis @ REST.rotation
+    at_rest = origin + pelvis @ REST.position + HALF * np.array([level[:, 1], -level[:, 1]])
+    rotation, middle = interface_frame(*(at_rest + offsets @ level.T), level[:, 2])
+    rest = RestPose(pelvis.T @ rotation, pelvis.T @ (middle - origin))
+    apart = np.array([0.0, 2 * HALF, 0.0]) + offsets[0] - offsets[1]
+    half = float(np.linalg.norm(apart)) / 2
+    model = replay([placed_whole("marker_offset")], seen=seen, half=half, rest=rest)
+    paths, _ = model.run_effects(PRIOR[None], [offsets.reshape(1, 6)])
+    length = np.linalg.norm(paths[0, :, 0] - paths[0, :, 1], axis=1)
+    np.testing.assert_allclose(length, 2 * half, atol=1e-9)
+    wrong = np.abs(replay([], seen=seen, rest=rest).run_effects(PRIOR[None], [])[0][0] - plain[0]).max()
+    middle_path = paths[0].mean(axis=1) - plain[0].mean(axis=1)
+    assert wrong > 0.01
+    # what is left is the mean offset, turned with the interface, but for its pitch, which two markers do not show
+    left = np.linalg.norm(middle_path, axis=1)
+    np.testing.assert_allclose(left, np.linalg.norm(offsets.mean(axis=0)), atol=1e-5)
+
+
+def test_a_pelvis_that_was_seen_elsewhere_is_there_from_the_start():
+    """A jump at the first step would hit the robot through the strap's damping."""
+    model = replay([placed_whole("lab_yaw")], seconds=1.0, neutral_at=np.array([0.5, 0.3, 0.0]))
+    _, joints = model.run_effects(PRIOR[None], [np.array([[0.05]])])
+    # 29 mm from where it was seen: the strap pulls, and the robot takes its time
+    assert np.abs(joints[0, :3, :2]).max() < 2e-3
+
+
+def test_a_strap_that_is_one_sided_from_the_origin_on_has_two_slopes():
+    share = 0.6
+    one_sided, asymmetric = (
+        next(e for e in EFFECTS if e.name == name and not e.form)
+        for name in ("one_sided", "asymmetric_stiffness")
+    )
+    upper = Placed(one_sided, next(w for w in one_sided.places() if w.axes == (1,) and w.side == 1), SCALES)
+    slopes = Placed(asymmetric, asymmetric.places()[1], SCALES)
+    model = replay([upper])
+    first, _ = model.run_effects(PRIOR[None], [np.array([[0.0, share]])])
+    mean = PRIOR.copy()
+    mean[1] *= 1 - share / 2
+    other, _ = replay([slopes]).run_effects(mean[None], [np.array([[share / (2 - share)]])])
+    np.testing.assert_allclose(first, other, atol=1e-9)
+
+
+def test_noise_of_the_measured_coordinate_hardly_moves_a_strap_with_hysteresis():
+    """Springs answer to the simulated motion; planned as a whole, the law would make a force of the noise."""
+    effect = next(e for e in EFFECTS if e.form == "_bouc_wen")
+    whole = replace(
+        effect,
+        plant=PlannedForce(
+            lambda v, context, where, p: (
+                -_bouc_wen(
+                    v, np.interp(context.step_time_s, context.time_s, context.coordinates[:, where.axes[0]])
+                )[:, :, None]
+            )
+        ),
+    )
+    x = [np.array([[np.log(8.0), 10.0, 3.0]])]
+    rng = np.random.default_rng(0)
+    noise = np.zeros((300, 6))
+    noise[:, 1] = 5e-4 * rng.standard_normal(300)
+    shaken = []
+    for kind in (effect, whole):
+        placed = Placed(kind, kind.places()[1], SCALES)
+        paths = [
+            replay([placed], noise=n[: len(noise)]).run_effects(PRIOR[None], x)[0] for n in (noise, 0 * noise)
+        ]
+        shaken.append(np.abs(paths[0] - paths[1]).max())
+    assert shaken[0] < 0.3 * shaken[1]
 
 
 def test_slack_leaves_the_strap_without_force_inside():
@@ -257,6 +379,34 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
     return truth, target
 
 
+def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue():
+    relaxation, creep = (next(e for e in EFFECTS if e.name == name) for name in ("relaxation", "creep"))
+    fast, slow = (Placed(e, e.places()[2], SCALES) for e in (relaxation, creep))
+    elsewhere = Placed(creep, creep.places()[1], SCALES)
+    assert is_makeshift((slow, fast))
+    assert not is_makeshift((fast, elsewhere))
+    plain = Candidate((), 0, (90_000.0, 95_000.0))
+    sets = [
+        Candidate(("relaxation",), 2, (20_000.0, 22_000.0)),
+        Candidate(("relaxation", "creep"), 4, (2_800.0, 2_900.0), makeshift=True),
+    ]
+    decision = decide(plain, sets, (2880, 2880), CALIBRATION)
+    assert decision.verdict == UNKNOWN
+    assert decision.chosen is None
+    assert sum(decision.probabilities.values()) == pytest.approx(1)
+
+
+def test_samples_that_jump_are_a_second_cause_beside_any_gap():
+    plain = Candidate((), 0, (200_000.0, 1_600_000.0))
+    sets = [
+        Candidate(("stiffening",), 2, (3_700.0, 5_900.0)),
+        Candidate(("stiffening", "outliers"), 2, (2_850.0, 2_860.0)),
+        Candidate(("stiffening", "preload"), 3, (2_850.0, 2_860.0)),
+    ]
+    with_jumps = decide(plain, sets, (2880, 2880), CALIBRATION)
+    assert with_jumps.chosen == 1
+
+
 def test_what_the_data_leave_in_the_running_is_the_ambiguity_group():
     plain = Candidate((), 0, (9000.0, 8000.0))
     sets = [Candidate((name,), 1, (1010.0, chi2)) for name, chi2 in (("lugre", 1020.0), ("coulomb", 1030.0))]
@@ -308,8 +458,12 @@ def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is
 class _Stuck(Search):
     """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
-    def __init__(self):
+    def __init__(self, start: float = 0.01, cost: float = FAILED):
         self.asked = []
+        self.start, self.cost = start, cost
+
+    def fresh(self, effects, base):
+        return np.append(base, np.log(self.start)), self.cost
 
     def fit(self, effects, start, final=False):
         self.asked.append(start[12:])
@@ -339,6 +493,45 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
     far, near = np.append(np.zeros(12), 9.0), np.append(np.zeros(12), np.log(0.3))
     screened = Screened((placed,), 500.0, far, np.zeros(1), np.zeros((1, 1)), near)
     assert _Stuck().fit_screened(screened).chi2 == (100.0, 100.0)
+
+
+@pytest.mark.parametrize(("cost", "left"), [(2500.0, 100.0), (3500.0, 3000.0)])
+def test_a_start_that_is_better_than_what_a_refit_came_to_is_gone_on_from(cost, left):
+    effect = next(e for e in EFFECTS if e.name == "coulomb")
+    stuck = np.append(np.zeros(12), np.log(0.01))
+    screened = Screened(
+        (Placed(effect, effect.places()[0], SCALES),), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck
+    )
+    assert _Stuck(0.3, cost).fit_screened(screened).chi2 == (left, left)
+
+
+def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_too():
+    effect = next(e for e in EFFECTS if e.name == "coulomb")
+    placed = Placed(effect, effect.places()[1], SCALES)
+    base = np.arange(14.0)
+    z = _fresh_starts(placed, base, np.full(6, 100.0), np.full(6, 200.0))
+    assert {(row[1], row[7]) for row in z} == {(1.0, 7.0), (1.0, 200.0), (100.0, 200.0)}
+    elsewhere = [i for i in range(14) if i not in (1, 7)]
+    assert (z[:, elsewhere] == base[elsewhere]).all()
+    _, upper = placed.bounds()
+    assert z[:, -1].max() == pytest.approx(upper[0])
+    assert set(placed.starts()[:, 0]) <= set(z[:, -1])
+
+
+def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
+    places = {(e.name, e.form): Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    tilt, friction, damping = (places[name, ""] for name in ("tilt", "coulomb", "quadratic_damping"))
+    z = np.concatenate([np.zeros(12), [0.0, 0.0], [1.0]])
+    found = [Hypothesis((tilt, damping), z, (20_000.0, 20_000.0))]
+    settings = CONFIG["diagnosis"]["search"]
+    search = _Stuck(0.3, 2500.0)
+    search.fit = lambda effects, start: Hypothesis(
+        tuple(effects), start, (2800.0, 2800.0) if effects[-1] is friction else (9000.0, 9000.0)
+    )
+    tried = _swapped(search, found, [tilt, friction, damping, places["slack", ""]], 5760, settings)
+    assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
+    quiet = [Hypothesis((tilt, damping), z, (2880.0, 2880.0))]
+    assert _swapped(search, quiet, list(places.values()), 5760, settings) == []
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):

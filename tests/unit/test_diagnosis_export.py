@@ -125,7 +125,8 @@ def test_what_is_no_model_says_what_to_do_instead():
     for effect in EFFECTS:
         assert (kind(effect) == NATIVE) == (not effect.remedy)
         assert (kind(effect) == PLANNED) == isinstance(effect.plant, PlannedForce)
-        assert (kind(effect) == CHAIN) == bool(effect.input_chain or effect.output_chain)
+        chains = (effect.input_chain, effect.output_chain, effect.sighting)
+        assert (kind(effect) == CHAIN) == any(chains)
 
 
 def test_a_set_of_effects_is_read_as_it_was_written():

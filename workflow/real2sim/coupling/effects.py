@@ -24,7 +24,7 @@ from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS
-from real2sim.geometry import AXES
+from real2sim.geometry import AXES, interface_frame
 
 TRANSLATIONAL = AXES[:3]
 
@@ -168,6 +168,25 @@ class SplitSpring:
         fields["tendon_stiffness"][:, above] = upper * parameters[:, axis]
 
 
+class OneSided:
+    """A share of the axis' spring pulls to one side alone, beyond a coordinate: values are place and share, (m, 2)."""
+
+    def build(self, spec, where):
+        """One fixed tendon over the strap joint."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        _tendon(
+            spec, f"one_sided_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
+        )
+
+    def set(self, fields, where, parameters, values):
+        """The joint keeps the rest of its spring; the tendon's free side is the dead band."""
+        axis, index = where.axes[0], fields.tendon(f"one_sided_{where.element}")
+        place, share = values.T
+        fields["jnt_stiffness"][:, fields.joint(axis)] = (1 - share) * parameters[:, axis]
+        fields["tendon_lengthspring"][:, index, 1 if where.side > 0 else 0] = where.side * place
+        fields["tendon_stiffness"][:, index] = share * parameters[:, axis]
+
+
 class Polynomial:
     """Higher terms of the axis' spring or damper: ``field`` and which of its two coefficients."""
 
@@ -212,6 +231,16 @@ class Elastoplastic:
             fields["tendon_springyield"][:, index] = (
                 travel * values[:, 1] * stiffness / (share * len(self.travels))
             )
+
+    def along(self, q: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Force (m, n) of the springs along a coordinate (n,) that they rest at the origin of."""
+        slips = self.travels * values[:, 1:]
+        stiffness = values[:, :1, None] / values[:, 1:, None] / self.travels.sum()
+        stretch = np.empty((len(values), len(q), len(self.travels)))
+        stretch[:, 0] = np.clip(q[0], -slips, slips)
+        for i, way in enumerate(np.diff(q)):
+            stretch[:, i + 1] = np.clip(stretch[:, i] + way, -slips, slips)
+        return np.asarray((stiffness * stretch).sum(axis=2))
 
 
 def _yielding_tendon(spec: mujoco.MjSpec, name: str, where: Where) -> None:
@@ -346,6 +375,13 @@ class TurnedAxes:
             fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
 
 
+def _pelvis_at_rest(model: mujoco.MjModel) -> np.ndarray:
+    """Pelvis in the interface's axes at rest, (3, 3); the interface is level, so the last row is the vertical."""
+    rest = np.zeros(9)
+    mujoco.mju_quat2Mat(rest, model.body("pelvis").quat)
+    return rest.reshape(3, 3)
+
+
 class TurnedBack:
     """All strap axes turned about the vertical against a turn of the pelvis' path, value (m, 1) [rad]."""
 
@@ -354,27 +390,8 @@ class TurnedBack:
 
     def set(self, fields, where, parameters, values):
         """The path carries the axes along with it; the strap hangs on the person all the same."""
-        TurnedAxes().set(fields, where, parameters, values * np.array([0.0, 0.0, -1.0]))
-
-
-class MovedCentre:
-    """The strap turns about another point of the interface than half-way between its markers.
-
-    Values (m, 6) [m, interface]: where the left and the right marker sit off their joint centres; what is half-way
-    between the markers is off by their mean.
-    """
-
-    def build(self, spec, where):
-        """Nothing: anchors are fields."""
-
-    def set(self, fields, where, parameters, values):
-        """Anchor of the hinges, in the pelvis' axes at rest."""
-        rest = np.zeros(9)
-        mujoco.mju_quat2Mat(rest, fields.model.body("pelvis").quat)
-        centre = -values.reshape(-1, 2, 3).mean(axis=1) @ rest.reshape(3, 3)
-        for axis in range(3, 6):
-            joint = fields.joint(axis)
-            fields["jnt_pos"][:, joint] = fields.model.jnt_pos[joint] + centre
+        vertical = _pelvis_at_rest(fields.model)[2]
+        TurnedAxes().set(fields, where, parameters, -values * vertical)
 
 
 class RestShift:
@@ -471,6 +488,37 @@ class PlannedForce:
         """Nothing: forces are controls."""
 
 
+class BoucWen(PlannedForce):
+    """Bouc-Wen of exponent 1, values (m, 3) are stiffness, loading and dissipation of `_bouc_wen`.
+
+    MuJoCo has no such element. Yielding springs with the same loading curve stand for most of it and answer to the
+    simulated motion; what the law differs from them is planned along the measured coordinate. Were all of it planned, a
+    stiff element would make a force of that coordinate's noise, and hold nothing in the simulation.
+    """
+
+    def __init__(self, elements: int):
+        super().__init__(self._difference)
+        self._springs = Elastoplastic(elements)
+
+    def build(self, spec, where):
+        """Yielding tendons and a motor."""
+        self._springs.build(spec, where)
+        super().build(spec, where)
+
+    def set(self, fields, where, parameters, values):
+        """Springs of the law's stiffness that yield along its loading curve."""
+        self._springs.set(fields, where, parameters, self._yielding(values))
+
+    def _yielding(self, values: np.ndarray) -> np.ndarray:
+        # force and travel of those springs; a slope that does not fall makes springs that never yield
+        travel = 1 / np.maximum(values[:, 1], 1e-3)
+        return np.stack([values[:, 0] * travel * self._springs.travels.mean(), travel], axis=1)
+
+    def _difference(self, values, context, where, parameters):
+        q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+        return (self._springs.along(q, self._yielding(values)) - _bouc_wen(values, q))[:, :, None]
+
+
 @dataclass
 class Context:
     """What the chains and forces of a trial are computed from.
@@ -495,6 +543,95 @@ class Context:
     rates: np.ndarray
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
+
+
+# ---------------------------------------------------------------- how the interface was seen
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the plant is set up by: poses of the interface in the world at the start, and in the pelvis at rest.
+
+    ``heading`` [rad] is how far the robot's log, laid on the interface's markers, is turned from the world.
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    rest_rotation: np.ndarray
+    rest_position: np.ndarray
+    heading: float = 0.0
+
+
+class Sighting(Protocol):
+    """An effect by which the interface's markers are not where it is."""
+
+    def true(self, values: np.ndarray, seen: Sight, context: Context) -> Sight:
+        """What was the case, from what was seen, for values (p,)."""
+
+    def seen(
+        self, paths: np.ndarray, rotation: np.ndarray, values: np.ndarray, context: Context
+    ) -> np.ndarray:
+        """Marker paths (m, n, 2, 3) for joint centres and rotation (m, n, 3, 3) of the interface, values (m, p)."""
+
+
+class TurnedLab:
+    """The interface's markers are seen in a lab turned about the vertical, values (m, 1) [rad]."""
+
+    def true(self, values, seen, context):
+        """Turned back about the lab's origin, in the neutral trial as well."""
+        back = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
+        pelvis, origin = context.neutral_rotation, context.neutral_position
+        return Sight(
+            back @ seen.rotation,
+            back @ seen.position,
+            pelvis.T @ back @ pelvis @ seen.rest_rotation,
+            pelvis.T @ (back @ (origin + pelvis @ seen.rest_position) - origin),
+            seen.heading + float(values[0]),
+        )
+
+    def seen(self, paths, rotation, values, context):
+        """Turned about the lab's origin."""
+        turn = Rotation.from_rotvec(values * np.array([0.0, 0.0, 1.0])).as_matrix()
+        return np.einsum("mij,mnkj->mnki", turn, paths)
+
+
+class OffCentre:
+    """Markers that sit off the joint centres, fixed in the interface: values (m, 6) [m, interface], left and right."""
+
+    def true(self, values, seen, context):
+        """Pose from the centres; of the neutral trial's, from its mean pelvis."""
+        pelvis, origin = context.neutral_rotation, context.neutral_position
+        left, right = context.measured[: context.start].mean(axis=0)
+        half = float(np.linalg.norm(left - right)) / 2
+        offsets = values.reshape(2, 3)
+        rotation, position = _from_centres(seen.rotation, seen.position, half, offsets)
+        rest = pelvis @ seen.rest_rotation, origin + pelvis @ seen.rest_position
+        rest_rotation, rest_position = _from_centres(*rest, half, offsets)
+        turned = seen.rotation @ rotation.T
+        return Sight(
+            rotation,
+            position,
+            pelvis.T @ rest_rotation,
+            pelvis.T @ (rest_position - origin),
+            seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0])),
+        )
+
+    def seen(self, paths, rotation, values, context):
+        """Joint centres and their offsets."""
+        return paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3))
+
+
+def _from_centres(
+    rotation: np.ndarray, position: np.ndarray, half: float, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of the interface from that of its markers, ``half`` [m] from their middle, with offsets (2, 3) [m]."""
+    markers = position + half * np.array([rotation[:, 1], -rotation[:, 1]])
+    true = rotation
+    # the offsets are known in the axes that are sought
+    for _ in range(3):
+        left, right = markers - offsets @ true.T
+        true, centre = interface_frame(left, right, rotation[:, 2])
+    return true, centre
 
 
 # ---------------------------------------------------------------- input and output chain
@@ -561,14 +698,6 @@ def _filtered_markers(paths, values, context):
     return out
 
 
-def _off_site(paths, values, context):
-    # Frame and start pose were taken from the same markers, so the simulated sites lie half-way and along the line of
-    # the markers from the start: of two offsets, only how far the markers are apart is left to see.
-    apart = (values[:, 1] - values[:, 4]) / 2
-    moved = np.einsum("ni,m->mni", context.interface_rotation[:, :, 1], apart)
-    return paths + np.stack([moved, -moved], axis=2)
-
-
 def _drifting_marker(side: int):
     def drift(paths, values, context):
         out = paths.copy()
@@ -623,10 +752,9 @@ def _ratchet(values, context, where, parameters):
     return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
 
 
-def _bouc_wen(values, context, where, parameters):
-    # z' = k v - b |v| z - g v |z|, F = -z, along the measured coordinate; k - (b + g) |z| is its slope while it is
-    # loaded, k + (b - g) |z| while it is relieved; it takes energy for b > 0
-    q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+def _bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:
+    # z (m, n) along a coordinate (n,): z' = k v - b |v| z - g v |z|; k - (b + g) |z| is its slope while it is loaded,
+    # k + (b - g) |z| while it is relieved; it takes energy for b > 0
     stiffness, loading, dissipation = values.T
     z = np.zeros((len(values), len(q)))
     for i, way in enumerate(np.diff(q)):
@@ -636,7 +764,7 @@ def _bouc_wen(values, context, where, parameters):
         small = np.abs(rate) < 1e-9
         gain = np.where(small, 1.0, -np.expm1(-rate) / np.where(small, 1.0, rate))
         z[:, i + 1] = last * np.exp(-rate) + step * gain
-    return -z[:, :, None]
+    return z
 
 
 # ---------------------------------------------------------------- the catalogue
@@ -644,11 +772,12 @@ def _bouc_wen(values, context, where, parameters):
 
 @dataclass(frozen=True)
 class Effect:
-    """One entry of the catalogue; exactly one of ``plant``, ``input_chain`` and ``output_chain`` says how it acts.
+    """One entry of the catalogue; ``plant``, ``input_chain``, ``output_chain`` and ``sighting`` say how it acts.
 
     ``scope`` is "axis", "side" (axis and direction), "pair" (of axes) or "whole"; ``forms`` names variants with
     other equations for the same name. ``input_chain`` maps values (p,) and context to a pelvis path; ``output_chain``
-    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths. ``remedy`` says what to do about an effect
+    maps simulated paths (m, n, 2, 3), values (m, p) and context to paths; ``sighting`` sets the plant up otherwise and
+    says what its markers show. ``remedy`` says what to do about an effect
     that cannot be part of a model: chains and planned forces have one.
     """
 
@@ -662,6 +791,7 @@ class Effect:
     plant: Mechanism | None = None
     input_chain: Callable[[np.ndarray, Context], tuple[np.ndarray, np.ndarray]] | None = None
     output_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
+    sighting: Sighting | None = None
     form: str = ""
     replaces_spring: bool = False
     substeps: int = 1
@@ -805,16 +935,17 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "one_sided",
         "interface",
-        "F = k q + k1 max(q - q0, 0), or its mirror image: a strap that pulls to one side alone",
+        "F = k ((1 - s) q + s max(q - q0, 0)), or its mirror image: a share of the strap pulls to one side alone",
         (
             # from zero on it would be asymmetric_stiffness by another name
-            EffectParameter("engages_at", "m|rad", 0.03, 0.3, (0.06,), _q),
-            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 50.0, (0.5, 4.0), _k, log=True),
+            EffectParameter("engages_at", "m|rad", 0.03, 0.5, (0.06,), _q),
+            EffectParameter("share", "1", 0.05, 1.0, (0.5, 0.9)),
         ),
         "S",
         _LADDER,
         scope="side",
-        plant=Stop(),
+        plant=OneSided(),
+        replaces_spring=True,
     ),
     Effect(
         "stiffening",
@@ -833,7 +964,10 @@ EFFECTS: tuple[Effect, ...] = (
         "asymmetric_stiffness",
         "interface",
         "F = k (1 + b sgn(q)) q",
-        (EffectParameter("asymmetry", "1", -0.97, 0.97, (-0.4, 0.4)),),
+        (
+            # a side that carries a tenth of the other or less is loose: one_sided
+            EffectParameter("asymmetry", "1", -0.8, 0.8, (-0.4, 0.4)),
+        ),
         "asymmetric_stiffness",
         _LADDER,
         plant=SplitSpring(lambda v, where: (0.0 * v[:, 0], 0.0 * v[:, 0], 1 - v[:, 0], 1 + v[:, 0])),
@@ -902,9 +1036,12 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         "hysteresis",
         "the same amplitude at 0.1, 1 and 4 Hz",
-        plant=PlannedForce(_bouc_wen),
+        plant=BoucWen(8),
         form="_bouc_wen",
-        remedy="Add a force -z to the strap joint, z stepped with the rate qdot by the equation, from z = 0",
+        remedy=(
+            "Take out the yielding springs of this effect, which stand for most of it, and add a force -z to the strap"
+            " joint, z stepped with the rate qdot by the equation, from z = 0"
+        ),
     ),
     Effect(
         "relaxation",
@@ -1114,6 +1251,19 @@ EFFECTS: tuple[Effect, ...] = (
         " ingest anew; the strap's axes of this model are turned with the path as it was recorded",
     ),
     Effect(
+        "lab_yaw",
+        "input",
+        "pelvis and interface are seen in frames turned about the vertical; the robot's axes are the pelvis' frame's",
+        (EffectParameter("yaw", "rad", -0.35, 0.35, (0.03,)),),
+        "F",
+        "a static wand seen by both systems",
+        scope="whole",
+        sighting=TurnedLab(),
+        form="interface",
+        remedy="Turn the interface's markers of all trials by minus the yaw about the vertical through the lab's origin"
+        " and ingest anew; start and rest pose of this model are those of the turned markers",
+    ),
+    Effect(
         "replay_lag",
         "input",
         "the pelvis is late by tau",
@@ -1168,11 +1318,10 @@ EFFECTS: tuple[Effect, ...] = (
         "S",
         "static poses at several headings",
         scope="whole",
-        plant=MovedCentre(),
-        output_chain=_off_site,
+        sighting=OffCentre(),
         remedy=(
-            "Take from each interface marker its offset, turned with the interface, and ingest anew. The strap of this"
-            " model turns about the true centre; its sites are the joint centres, not the markers"
+            "Take from each interface marker its offset, turned with the interface, and ingest anew. Start and rest"
+            " pose of this model are the true ones; its sites are the joint centres, not the markers"
         ),
     ),
     *(

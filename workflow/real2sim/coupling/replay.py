@@ -35,6 +35,16 @@ class Simulated:
     control: np.ndarray
 
 
+@dataclass(frozen=True)
+class StartPose:
+    """Robot joints (6,) and interface pose (3, 3), (3,) [m, world] at the start, and the strap's rest pose."""
+
+    joints: np.ndarray
+    rotation: np.ndarray
+    position: np.ndarray
+    rest: RestPose
+
+
 class Replay:
     """Replay a measured pelvis path through the plant under many strap parameters.
 
@@ -91,9 +101,9 @@ class Replay:
         if abs(self.stride * h - sample) > 1e-9:
             raise ValueError(f"plant.timestep_s = {h} does not divide the sample interval {sample}")
         self.drive = drive or pelvis_drive(time_s, pelvis_rotation, pelvis_position, h)
-        twin = load_robot(robot).compile()
+        self._twin = load_robot(robot).compile()
         try:
-            start = robot_pose_for(twin, start_rotation, start_position)
+            start = robot_pose_for(self._twin, start_rotation, start_position)
         except (ValueError, np.linalg.LinAlgError) as error:
             raise InputError(
                 robot, "", str(error), "a twin that reaches the measured start pose", "Check its geometry."
@@ -125,7 +135,8 @@ class Replay:
         self._damping = self._batch.expand("dof_damping")
         self._armature = self._batch.expand("dof_armature")
         self._own_armature = self.model.dof_armature[self._dofs].copy()
-        self._start_state = self._initial_state(start, start_rotation, start_position, rest)
+        self._start_pose = StartPose(start, start_rotation, start_position, rest)
+        self._start_state = self._state_at(self.drive.position[0], self.drive.velocity[0], self._start_pose)
         adr = self.model.sensor("position_interface_left").adr[0]
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
@@ -134,28 +145,26 @@ class Replay:
     def _extend(self, spec: mujoco.MjSpec) -> None:
         """Elements that the plain plant lacks: none."""
 
-    def _initial_state(
-        self, start: np.ndarray, start_rotation: np.ndarray, start_position: np.ndarray, rest: RestPose
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Joint positions and velocities at the start: robot at rest, pelvis on its path."""
+    def _state_at(self, pelvis: np.ndarray, rate: np.ndarray, at: StartPose) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions and velocities with the robot at rest and the pelvis (6,) and its rate (6,) in the drive."""
         from scipy.spatial.transform import Rotation
 
         model, drive = self.model, self.drive
         reference = drive.reference_rotation
-        r_p = reference @ Rotation.from_rotvec(drive.position[0, 3:]).as_matrix()
-        p_p = drive.reference_origin + reference @ drive.position[0, :3]
+        r_p = reference @ Rotation.from_rotvec(pelvis[3:]).as_matrix()
+        p_p = drive.reference_origin + reference @ pelvis[:3]
         q = interface_coordinates(
-            *relative_pose(r_p, p_p, start_rotation, start_position), rest.rotation, rest.position
+            *relative_pose(r_p, p_p, at.rotation, at.position), at.rest.rotation, at.rest.position
         )
         data = mujoco.MjData(model)
-        for name, value in zip(ROBOT_JOINTS, start, strict=True):
+        for name, value in zip(ROBOT_JOINTS, at.joints, strict=True):
             data.joint(name).qpos = value
         data.qpos[model.jnt_qposadr[self._joints]] = q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jac_p, jac_r, model.site("pelvis").id)
-        twist = np.concatenate([reference @ drive.velocity[0, :3], reference @ drive.velocity[0, 3:]])
+        twist = np.concatenate([reference @ rate[:3], reference @ rate[3:]])
         qvel = np.zeros(model.nv)
         qvel[self._dofs] = np.linalg.solve(np.vstack([jac_p, jac_r])[:, self._dofs], twist)
         return data.qpos.copy(), qvel
@@ -198,7 +207,7 @@ class Replay:
 
     def as_simulated(self) -> Simulated:
         """Model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""
-        position, velocity = self._start_state
+        position, velocity = (np.broadcast_to(x, (1, x.shape[-1]))[0].copy() for x in self._starts(1))
         return Simulated(self._batch.get_model(0), position, velocity, self._control[0].copy())
 
     def sites(self) -> np.ndarray:
@@ -218,9 +227,12 @@ class Replay:
         self._armature[:m, self._dofs] = self._own_armature - parameters[:, 6:] * h / 2
         ids = np.arange(m)
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        batch.bind("qpos")[:m] = self._start_state[0]
-        batch.bind("qvel")[:m] = self._start_state[1]
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = self._starts(m)
         return self._roll(m)
+
+    def _starts(self, m: int) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions and velocities at the start of the first m simulations, (nq,) and (nv,) or (m, n)."""
+        return self._start_state
 
     def _roll(self, m: int) -> np.ndarray:
         """Step the first m simulations to the end of the path; sensors (m, nstep, nsensordata)."""

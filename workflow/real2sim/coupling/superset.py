@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from real2sim.coupling.drive import pelvis_drive
-from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Scales
-from real2sim.coupling.plant import ROBOT_JOINTS
-from real2sim.coupling.replay import Replay, servo_command
+from real2sim.coupling.drive import PelvisDrive, pelvis_drive
+from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Scales, Sight
+from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
+from real2sim.coupling.replay import Replay, StartPose, servo_command
 
 
 class EffectReplay(Replay):
@@ -34,13 +35,16 @@ class EffectReplay(Replay):
         super().__init__(**replay)
         first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
         self._robot_columns = slice(first, first + 6)
-        joints = [self.model.joint(name).qposadr[0] for name in ROBOT_JOINTS]
-        self.start = self._start_state[0][joints].copy()
+        self._robot_joints = np.array([self.model.joint(name).id for name in ROBOT_JOINTS])
+        self._sightings = [i for i, placed in enumerate(self.effects) if placed.effect.sighting]
+        self._sights: list[StartPose] = []
+        self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
         self._parameters = np.empty((0, 12))
-        self._basis = {
-            i: self._input_basis(placed) for i, placed in enumerate(self.effects) if placed.effect.input_chain
-        }
+        chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
+        bases = {i: self._input_basis(placed) for i, placed in chains.items()}
+        self._basis = {i: command for i, (command, _) in bases.items()}
+        self._start_basis = {i: start for i, (_, start) in bases.items()}
         self._columns_of = {
             i: placed.effect.plant.columns(self.model, placed.where)
             for i, placed in enumerate(self.effects)
@@ -55,35 +59,85 @@ class EffectReplay(Replay):
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=name,
             )
+        if any(placed.effect.sighting for placed in self.effects):
+            spec.add_sensor(
+                name="interface_rotation",
+                type=mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+                objtype=mujoco.mjtObj.mjOBJ_XBODY,
+                objname="interface",
+            )
         for placed in self.effects:
             if placed.effect.plant is not None:
                 placed.effect.plant.build(spec, placed.where)
 
-    def _input_basis(self, placed: Placed) -> np.ndarray:
-        """Change of the pelvis command (2, p, nstep, 6) with each parameter and its square, about none [SI].
+    def _input_basis(self, placed: Placed) -> tuple[np.ndarray, np.ndarray]:
+        """Change with each parameter and its square, about none [SI]: of the pelvis command (2, p, nstep, 6), and of
+        pelvis and rate at the start (2, p, 12).
 
         A parabola through steps of a tenth of the range: a lever arm of metres makes the square count.
         """
         context, chain = self._context, placed.effect.input_chain
         assert chain is not None
         count = len(placed.effect.parameters)
-        command = servo_command(self.drive)
         step = placed.values(placed.bounds()[1][None] / 10)[0]
-        out = np.empty((2, count, *command.shape))
+        out = np.empty((2, count, self.nstep, 6)), np.empty((2, count, 12))
+        plain = servo_command(self.drive), _first(self.drive)
         for i in range(count):
             ahead, behind = (
-                self.command_for(*chain(sign * step[i] * np.eye(count)[i], context)) - command
-                for sign in (1, -1)
+                self._drive_for(*chain(sign * step[i] * np.eye(count)[i], context)) for sign in (1, -1)
             )
-            out[0, i] = (ahead - behind) / (2 * step[i])
-            out[1, i] = (ahead + behind) / (2 * step[i] ** 2)
+            for basis, read, zero in zip(out, (servo_command, _first), plain, strict=True):
+                up, down = read(ahead) - zero, read(behind) - zero
+                basis[0, i] = (up - down) / (2 * step[i])
+                basis[1, i] = (up + down) / (2 * step[i] ** 2)
         return out
+
+    def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
+        frame = (self.drive.reference_rotation, self.drive.reference_origin)
+        return pelvis_drive(self._context.time_s, rotation, position, self.drive.timestep, frame)
 
     def command_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Pelvis command (nstep, 6) for another path (n, 3, 3), (n, 3) [m] of the same trial."""
-        frame = (self.drive.reference_rotation, self.drive.reference_origin)
-        moved = pelvis_drive(self._context.time_s, rotation, position, self.drive.timestep, frame)
-        return servo_command(moved)
+        return servo_command(self._drive_for(rotation, position))
+
+    def _starts(self, m: int) -> tuple[np.ndarray, np.ndarray]:
+        if not self._basis and not self._sightings:
+            return super()._starts(m)
+        # a pelvis that is elsewhere than it was seen is so from the first step on: no jump, which would hit the robot
+        first = np.tile(_first(self.drive), (m, 1))
+        for i, basis in self._start_basis.items():
+            values = self._values[i][:m]
+            first += np.einsum("kmp,kpc->mc", np.array([values, values**2]), basis)
+        poses = self._sights or [self._start_pose] * m
+        states = [self._state_at(row[:6], row[6:], pose) for row, pose in zip(first, poses, strict=False)]
+        return np.array([q for q, _ in states]), np.array([v for _, v in states])
+
+    def _see(self, m: int) -> None:
+        """Where robot and interface start, and where the strap rests, of each of m simulations."""
+        self._sights, self._headings = [], np.zeros(m)
+        seen = self._start_pose
+        for k in range(m):
+            sight = Sight(seen.rotation, seen.position, seen.rest.rotation, seen.rest.position)
+            for i in self._sightings:
+                sighting = self.effects[i].effect.sighting
+                assert sighting is not None
+                sight = sighting.true(self._values[i][k], sight, self._context)
+            rest = RestPose(sight.rest_rotation, sight.rest_position)
+            joints = robot_pose_for(self._twin, sight.rotation, sight.position)
+            self._sights.append(StartPose(joints, sight.rotation, sight.position, rest))
+            self._headings[k] = sight.heading
+
+    def _set_up(self, m: int) -> None:
+        """Write rest poses, and where the robot's controller holds, into the plants of m simulations."""
+        model, batch = self.model, self._batch
+        pelvis, site = model.body("pelvis").id, model.site("pelvis").id
+        quat, centre, origin, spring = (
+            batch.expand(name)[:m] for name in ("body_quat", "body_ipos", "site_pos", "qpos_spring")
+        )
+        for k, pose in enumerate(self._sights):
+            mujoco.mju_mat2Quat(quat[k, pelvis], pose.rest.rotation.T.flatten())
+            centre[k, pelvis] = origin[k, site] = -pose.rest.position
+            spring[k, model.jnt_qposadr[self._robot_joints]] = pose.joints
 
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another pelvis command (nstep, 6) from now on."""
@@ -98,17 +152,44 @@ class EffectReplay(Replay):
         m = len(parameters)
         values = [placed.values(part) for placed, part in zip(self.effects, x, strict=True)]
         self._values, self._parameters = values, parameters
+        if self._sightings:
+            self._see(m)
         sensors = self._simulate(parameters)
         paths = self._samples(sensors)
-        joints = sensors[:, :: self.stride, self._robot_columns] - self.start
+        start = (
+            np.array([pose.joints for pose in self._sights])[:, None]
+            if self._sights
+            else self._start_pose.joints
+        )
+        joints = sensors[:, :: self.stride, self._robot_columns] - start
+        if self._sightings and np.isfinite(paths).all():
+            paths, joints = self._seen(paths, joints, sensors)
         for placed, value in zip(self.effects, values, strict=True):
             if placed.effect.output_chain is not None and np.isfinite(paths).all():
                 paths = placed.effect.output_chain(paths, value, self._context)
         assert len(paths) == m
         return paths, joints
 
+    def _seen(
+        self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Marker paths and robot joints as they are seen, for joint centres (m, n, 2, 3) and joints (m, n, 6)."""
+        column = self.model.sensor("interface_rotation").adr[0]
+        wxyz = sensors[:, :: self.stride, column : column + 4]
+        rotation = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
+        for i in reversed(self._sightings):
+            sighting = self.effects[i].effect.sighting
+            assert sighting is not None
+            rotations = rotation.reshape(*wxyz.shape[:2], 3, 3)
+            paths = sighting.seen(paths, rotations, self._values[i], self._context)
+        c, s = np.cos(self._headings)[:, None], np.sin(self._headings)[:, None]
+        x, y = joints[..., 0], joints[..., 1]
+        return paths, np.stack([c * x - s * y, s * x + c * y, *np.moveaxis(joints[..., 2:], 2, 0)], axis=2)
+
     def _roll(self, m: int) -> np.ndarray:
         fields = Fields(self._batch, self.model, m, self._scales)
+        if self._sightings:
+            self._set_up(m)
         for i, (placed, values) in enumerate(zip(self.effects, self._values, strict=True)):
             if placed.effect.plant is not None:
                 placed.effect.plant.set(fields, placed.where, self._parameters, values)
@@ -130,3 +211,8 @@ class EffectReplay(Replay):
             assert isinstance(placed.effect.plant, PlannedForce)
             force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
             self._control[:m, :, self._columns_of[i]] += force
+
+
+def _first(drive: PelvisDrive) -> np.ndarray:
+    """Pelvis and its rate at the start, (12,)."""
+    return np.concatenate([drive.position[0], drive.velocity[0]])

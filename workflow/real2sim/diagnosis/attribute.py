@@ -27,6 +27,18 @@ KEEP = 0.3
 FAILED = 1e12
 # Starts tried, weaker and weaker, where MuJoCo gives up
 WEAKENINGS = 3
+# Strengths beyond an effect's own starts that are tried by their cost alone
+STRENGTHS = 5
+# Effects that take each other's place in a fit
+RIVALS = (
+    ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit"),
+    ("coulomb", "lugre", "hysteresis", "relaxation", "creep", "quadratic_damping"),
+    ("cross_coupling", "misalignment", "lab_yaw"),
+    ("preload", "tilt", "marker_offset"),
+    ("migration", "marker_drift", "creep"),
+    ("added_mass", "base_compliance", "controller_reaction"),
+    ("replay_lag", "sync_offset", "clock_drift", "filter_lag"),
+)
 # Longest step in ln or searched numbers that the screening believes
 LONGEST_STEP = 1.5
 
@@ -109,6 +121,15 @@ def _conflict(effects: Sequence[Placed]) -> bool:
     return len(taken) != len(set(taken))
 
 
+def is_makeshift(effects: Sequence[Placed]) -> bool:
+    """Whether effects stand for a cause that the catalogue does not hold.
+
+    Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has.
+    """
+    branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
+    return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")
+
+
 class Search:
     """Screening and refits on one pair of trials."""
 
@@ -139,9 +160,42 @@ class Search:
         return self.pair.train.samples, self.pair.held_out.samples
 
     def fit_screened(self, screened: Screened) -> Hypothesis:
-        """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that."""
+        """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that.
+
+        Once more where even the start without the strap's old parameters is better than what came out.
+        """
         fitted = self.fit(screened.effects, screened.start)
-        return fitted if fitted.chi2[0] < FAILED else self.fit(screened.effects, screened.origin)
+        if fitted.chi2[0] >= FAILED:
+            fitted = self.fit(screened.effects, screened.origin)
+        own = len(screened.effects[-1].effect.parameters)
+        return self.afresh(screened.effects, screened.origin[: len(screened.origin) - own], fitted)
+
+    def afresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
+        """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``."""
+        z, cost = self.fresh(effects, base)
+        if not cost < fitted.chi2[0]:
+            return fitted
+        again = self.fit(effects, z)
+        return again if again.chi2[0] < fitted.chi2[0] else fitted
+
+    def fresh(self, effects: tuple[Placed, ...], base: np.ndarray) -> tuple[np.ndarray, float]:
+        """Best start of the last effect beside ``base`` by its cost alone, and that cost.
+
+        What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
+        friction, and no tangent leads out of there. So these are tried from the middle of their range too.
+        """
+        z = _fresh_starts(effects[-1], base, *self._middle)
+        costs = JointResiduals(self.pair.train, effects, self.pair.bounds).costs(z)
+        self.evaluations += len(z)
+        costs = np.where(np.isfinite(costs), costs, FAILED)
+        best = int(np.argmin(costs))
+        return z[best], float(costs[best])
+
+    @property
+    def _middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles (6,) of the ranges of ln-stiffness and ln-damping."""
+        middle = (np.log(self.pair.bounds.lower) + np.log(self.pair.bounds.upper)) / 2
+        return middle[:6], middle[6:]
 
     def bearable(self, effects: tuple[Placed, ...], base: np.ndarray, x: np.ndarray) -> np.ndarray:
         """``base`` with the start ``x`` (p,) of the last effect, weakened until the simulation bears it.
@@ -156,6 +210,14 @@ class Search:
                 break
         self.evaluations += residuals.evaluations
         return z
+
+    def mark_spikes(self, best: Hypothesis) -> bool:
+        """Look for jumps of the markers in what a hypothesis leaves of both trials; whether there are new ones."""
+        new = [
+            evidence.mark_spikes(JointResiduals(evidence, best.effects, self.pair.bounds).paths(best.z))
+            for evidence in (self.pair.train, self.pair.held_out)
+        ]
+        return any(new)
 
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
@@ -225,6 +287,25 @@ def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
         x = placed.weaker(x)
 
 
+def _fresh_starts(placed: Placed, base: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the strap's axis old and new."""
+    starts, (_, upper) = placed.starts(), placed.bounds()
+    strengths = [starts]
+    if placed.effect.parameters and placed.effect.parameters[0].log:
+        ladder = np.tile(starts[0], (STRENGTHS, 1))
+        ladder[:, 0] = np.linspace(starts[:, 0].max(), upper[0], STRENGTHS + 1)[1:]
+        strengths.append(ladder)
+    x = np.concatenate(strengths)
+    straps = [base[:12]]
+    if len(placed.where.axes) == 1:
+        axis = placed.where.axes[0]
+        softer, freed = base[:12].copy(), base[:12].copy()
+        softer[6 + axis] = freed[6 + axis] = damping[axis]
+        freed[axis] = stiffness[axis]
+        straps += [softer, freed]
+    return np.array([np.concatenate([strap, base[12:], own]) for strap in straps for own in x])
+
+
 def _bounded_step(
     jacobian: np.ndarray, r: np.ndarray, z: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, float]:
@@ -275,9 +356,30 @@ def attribute(
     if excess > settings["pair_excess_sigma"]:
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
         hypotheses += more
-        hypotheses += _grow(search, hypotheses, promising, sum(count), settings, progress)
+        hypotheses += _swapped(search, hypotheses, everything, sum(count), settings)
+        grown = _grow(search, hypotheses, promising, sum(count), settings, progress)
+        hypotheses += grown
+        if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
+            hypotheses += _swapped(search, hypotheses, everything, sum(count), settings)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
+    hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.evaluations)
+
+
+def _without_spikes(
+    search: Search, plain: Hypothesis, found: list[Hypothesis], everything: Sequence[Placed]
+) -> list[Hypothesis]:
+    """The hypotheses, with `outliers` judged by the jumps in what the best of them leaves, alone and beside it."""
+    outliers = [placed for placed in everything if placed.effect.name == "outliers"]
+    best = min([plain, *found], key=lambda h: sum(h.chi2))
+    if not outliers or not search.mark_spikes(best):
+        return found
+    kept = [h for h in found if "outliers" not in h.names]
+    effects = tuple(placed for placed in best.effects if placed.effect.name != "outliers")
+    more = [search.fit((*effects, *outliers), best.z)]
+    if effects:
+        more.append(search.fit(outliers, plain.z))
+    return sorted([*kept, *more], key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
@@ -382,6 +484,38 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
         if key not in best or sum(h.chi2) < sum(best[key].chi2):
             best[key] = h
     return list(best.values())
+
+
+def _swapped(
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], samples: int, settings: dict
+) -> list[Hypothesis]:
+    """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
+
+    A member that was found first may hold the place of another: friction is half of a hysteresis, and the other way.
+    """
+    best = min(found, key=lambda h: sum(h.chi2))
+    out: list[Hypothesis] = []
+    for member in best.effects:
+        if sum(best.chi2) - samples < settings["pair_excess_sigma"] * np.sqrt(2 * samples):
+            break
+        kept = [i for i, placed in enumerate(best.effects) if placed is not member]
+        others = tuple(best.effects[i] for i in kept)
+        parts = best.split()
+        base = np.concatenate([best.z[:12], *(parts[i] for i in kept)])
+        rivals = [(*others, rival) for rival in _without(places, best) if _rivals(member, rival)]
+        rivals = [effects for effects in rivals if not _conflict(effects)]
+        starts = [search.fresh(effects, base) for effects in rivals]
+        order = sorted(range(len(rivals)), key=lambda i: starts[i][1])[: settings["swap_refits"]]
+        tried = [search.fit(rivals[i], starts[i][0]) for i in order]
+        out += tried
+        best = min([best, *tried], key=lambda h: sum(h.chi2))
+    return out
+
+
+def _rivals(one: Placed, other: Placed) -> bool:
+    """Whether another place is on the same axis, or on all, and of an effect that is mistaken for this one."""
+    alike = any(one.effect.name in names and other.effect.name in names for names in RIVALS)
+    return alike and other.where.axes in (one.where.axes, ())
 
 
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -18,17 +18,23 @@ from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS
 
 NONE, UNKNOWN = "none", "unknown"
 
+# Effects that no inexact law of another effect looks like: single samples that jump
+ISOLATED = ("outliers",)
 # Probability from which an effect is still in the running
 IN_THE_RUNNING = 0.02
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials."""
+    """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials.
+
+    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold.
+    """
 
     names: tuple[str, ...]
     parameters: int
     chi2: tuple[float, float]
+    makeshift: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,11 +74,13 @@ def logits(
     excess = max(f["excess_sd"], 0.0) * np.sqrt(2 * sum(samples))
     temperature = c["temperature"] + c["temperature_per_excess"] * excess
 
-    # a further effect must earn something in itself and beside the gap
-    further = c["second_effect"] + c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
+    # a further effect must earn something in itself and, lest it mend the form of another, beside the gap
+    gap = c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
 
     def score(candidate: Candidate) -> float:
-        price = c["per_parameter"] * candidate.parameters + further * max(len(candidate.names) - 1, 0)
+        laws = [name for name in candidate.names if name not in ISOLATED]
+        price = c["per_parameter"] * candidate.parameters
+        price += c["second_effect"] * max(len(candidate.names) - 1, 0) + gap * max(len(laws) - 1, 0)
         return -(_left(candidate, c) + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
@@ -98,15 +106,21 @@ def decide(
     p = np.exp(z - z.max())
     p /= p.sum()
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
+    makeshift = np.array([candidate.makeshift for candidate in candidates], dtype=bool)
     for candidate, of_set in zip(candidates, p, strict=False):
+        if candidate.makeshift:
+            probabilities[UNKNOWN] += float(of_set)
+            continue
         for name, part in zip(
             candidate.names, _earned(candidate, plain, candidates, calibration), strict=True
         ):
             probabilities[name] += float(of_set * part)
-    probabilities[NONE], probabilities[UNKNOWN] = float(p[-2]), float(p[-1])
+    probabilities[NONE] = float(p[-2])
+    probabilities[UNKNOWN] += float(p[-1])
     sets = p[: len(candidates)]
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
-    chosen = int(np.argmax(sets)) if len(sets) else None
+    named = np.where(makeshift, -1.0, sets)
+    chosen = int(np.argmax(named)) if not makeshift.all() else None
     if chosen is None or max(probabilities[NONE], probabilities[UNKNOWN]) >= effects:
         verdict = NONE if probabilities[NONE] >= probabilities[UNKNOWN] else UNKNOWN
         return Decision(probabilities, sets, verdict, (verdict,), None)

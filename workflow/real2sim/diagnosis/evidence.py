@@ -44,8 +44,9 @@ ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
 # The pelvis path is never smoothed below this; noise is never taken as smaller than that
 LOWEST_CUTOFF_HZ = 3.0
 SMALLEST_NOISE_M = 2e-5
-# A spike stands out of what is faster than the cut-off by so many SD; the low-pass of the ingest smears it so far
-SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_SMEAR_S = 4.0, 7.0, 0.08
+# A spike stands out of what is faster than the cut-off by so many SD, of a path or of the residual that the best fit
+# leaves; the low-pass of the ingest smears it so far
+SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.08
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
 # Band edges [Hz] within which the noise is taken as equal
@@ -183,6 +184,17 @@ class Evidence:
             out[:, band == b] = coefficients[:, band == b] @ matrix.T
         return out.reshape(len(error), -1)
 
+    def mark_spikes(self, paths: np.ndarray) -> bool:
+        """Mark where markers jump out of what simulated paths (n, 2, 3) leave of them; whether that is anything new.
+
+        A motion hides jumps that its simulation does not make.
+        """
+        rate = 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
+        found = spikes(self.trial.interface - paths, rate, SPIKE_RESIDUAL_SD) | self.context.spikes
+        new = bool((found & ~self.context.spikes).any())
+        self.context = replace(self.context, spikes=found)
+        return new
+
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         rng = np.random.default_rng(seed)
@@ -251,13 +263,16 @@ class Evidence:
         return error
 
 
-def spikes(markers: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Where markers (n, 2, 3) jump, (n, 2): fast content far beyond the usual, and what the filter smears around it."""
-    n = len(markers)
-    flat = bridged(markers.reshape(n, 6))
+def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarray:
+    """Where marker paths, or residuals of them, (n, 2, 3) jump, (n, 2): fast content beyond ``sd`` times the usual.
+
+    With it comes what the filter smears around it.
+    """
+    n = len(paths)
+    flat = bridged(paths.reshape(n, 6))
     fast = flat - signals.lowpass(flat, rate_hz, SPIKE_CUTOFF_HZ, 4)
     usual = np.median(np.abs(fast), axis=0) / 0.6745
-    hit = (np.abs(fast) > SPIKE_SD * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
+    hit = (np.abs(fast) > sd * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
     width = round(SPIKE_SMEAR_S * rate_hz)
     return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
 

@@ -81,6 +81,10 @@ class JointResiduals(least_squares.Residuals):
         held = np.isfinite(self.prior_sd)
         return np.hstack([rows, (z - self.prior_mean)[:, held] / self.prior_sd[held]])
 
+    def paths(self, z: np.ndarray) -> np.ndarray:
+        """Simulated interface markers (n, 2, 3) [m, world] at a point (12 + p,)."""
+        return self._run(z[None])[0][0]
+
     def judged(self, z: np.ndarray) -> tuple[float, float]:
         """Sum of squares of the data's residuals alone, and J, at a point (12 + p,)."""
         self.evaluations += 1

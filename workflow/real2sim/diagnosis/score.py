@@ -19,6 +19,8 @@ Row = dict[str, Any]
 
 # Family of each effect: where another equation of the same family is the truth, its name is right
 LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
+# Visibilities from which a case counts as one of 0.2 and more, and as one of 0.05: half-way on a logarithmic scale
+CLEAR, FAINT = 0.1, 0.025
 # A regime of four holds the gap where it holds more than it would if the gap were everywhere alike
 _REGIME_SHARE = 0.25
 # Share of the floor below which J shows no gap that could be closed
@@ -115,8 +117,10 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
 
 def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
     library = by["in_library"]
-    clear = [r for r in library if (r["case"]["visibility"]["target"] or 0) >= 0.2]
-    faint = [r for r in library if (r["case"]["visibility"]["target"] or 0) < 0.2]
+    # by the visibility that the phantom reached: some effects cannot be made as visible as was asked for
+    clear = [r for r in library if _reached(r) >= CLEAR]
+    faint = [r for r in library if FAINT <= _reached(r) < CLEAR]
+    hidden = [r for r in library if _reached(r) < FAINT]
     strange, mixed, other = by["out_of_library"], by["mixture"], by["form_mismatch"]
 
     def top(rows: list[Row]) -> list[bool]:
@@ -160,6 +164,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         _claim(
             "right where surer than 90 %, rho = 0.05", top(sure), "never over-confident", lambda v: v >= 0.9
         ),
+        _claim("top-1, rho below 0.025: less than was asked for", top(hidden), "none", None),
         _claim(
             "false alarm on null",
             [r["answer"]["verdict"] != NONE for r in nulls],
@@ -379,10 +384,14 @@ def _per_effect(rows: list[Row]) -> list[Row]:
     return out
 
 
-def _bin_of(row: Row, edges: Sequence[float]) -> int:
+def _reached(row: Row) -> float:
+    """Visibility of a case as the phantom has it, as asked for where it does not know."""
     visibility = row["case"]["visibility"]
-    reached = visibility["target"] if visibility["predicted"] is None else visibility["predicted"]
-    return int(np.searchsorted(edges, reached))
+    return float((visibility["target"] if visibility["predicted"] is None else visibility["predicted"]) or 0)
+
+
+def _bin_of(row: Row, edges: Sequence[float]) -> int:
+    return int(np.searchsorted(edges, _reached(row)))
 
 
 def _power_bin(rows: list[Row], effect: str) -> Row:

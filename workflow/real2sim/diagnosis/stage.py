@@ -13,7 +13,14 @@ import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
-from real2sim.diagnosis.attribute import Attribution, Pair, attribute, finished, plain_fit
+from real2sim.diagnosis.attribute import (
+    Attribution,
+    Pair,
+    attribute,
+    finished,
+    is_makeshift,
+    plain_fit,
+)
 from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
@@ -70,7 +77,9 @@ def prepare(
 def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
     """The plain plant and every refitted set as the decision sees them."""
     plain = Candidate((), 0, attribution.plain.chi2)
-    return plain, [Candidate(h.names, len(h.z) - 12, h.chi2) for h in attribution.hypotheses]
+    return plain, [
+        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects)) for h in attribution.hypotheses
+    ]
 
 
 def diagnose(

@@ -551,6 +551,9 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
     assert [row["verdict"] for row in rows[:5]] == verdicts
     assert rows[4]["bias_ln"] == pytest.approx(0.2)
+    # only a bias that stands out is taken off, and only of what is known
+    assert [row["unbiased"] for row in rows[:4]] == pytest.approx(np.exp(z[:4]))
+    assert rows[4]["unbiased"] == pytest.approx(np.exp(z[4] - 0.2))
     assert rows[4]["ci95"][0] < np.exp(z[4] - 0.2) < rows[4]["ci95"][1]
     assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * 0.05 * np.array([-1, 1])))
     assert rows[2]["ci95"][1] == pytest.approx(bounds.upper[2])

@@ -25,7 +25,7 @@ def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
     model = answer.with_name("model.xml")
     mini.snakemake("--cores", "2", str(model.relative_to(mini.folder)))
     loaded = mujoco.MjModel.from_xml_path(str(model))
-    assert loaded.numeric("k_tx").data[0] == content["parameters"]["k_tx"]["with_effect"]
+    assert loaded.numeric("k_tx").data[0] == content["parameters"]["k_tx"]["fitted"]
     assert "PHANTOM" in model.read_text(encoding="utf-8")
     notes = json.loads(model.with_suffix(".json").read_text())
     # skin over the pelvis is no part of a model of robot and interface

@@ -117,7 +117,7 @@ def export_model(
     )
     effects, x = effects_of(answer["model"], diagnosis)
     evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
-    parameters = np.array([answer["parameters"][name]["with_effect"] for name in PARAMETERS])
+    parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])
     simulated = model.as_simulated()
@@ -179,7 +179,7 @@ def _line(about: dict[str, Any]) -> str:
 
 def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str, replay: str) -> list[str]:
     rows = [
-        f"{name} = {p['with_effect']:.6g} {p['unit']} (plain fit {p['base']:.6g})"
+        f"{name} = {p['fitted']:.6g} {p['unit']} (plain fit {p['base']:.6g})"
         for name, p in answer["parameters"].items()
     ]
     return [
@@ -223,7 +223,12 @@ def _notes(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str) 
         "effects": list(about),
         "to_do": [f"{a['effect']}: {a['remedy']}" for a in left],
         "parameters": {
-            name: {"value": p["with_effect"], "plain": p["base"], "unit": p["unit"]}
+            name: {
+                "value": p["fitted"],
+                "unbiased": p["with_effect"],
+                "plain": p["base"],
+                "unit": p["unit"],
+            }
             for name, p in answer["parameters"].items()
         },
     }

@@ -234,12 +234,24 @@ def _answer(
         "next_trial": next_trial(decision),
         "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),
         "parameters": {
-            name: {"base": float(a), "with_effect": float(b), "unit": unit(name)} | verdict
+            name: _parameter(name, a, b, verdict, decision.chosen is not None)
             for name, a, b, verdict in zip(
                 PARAMETERS, np.exp(plain.z[:12]), np.exp(best.z[:12]), known, strict=True
             )
         },
     }
+
+
+def _parameter(name: str, base: float, fitted: float, known: dict[str, Any], named: bool) -> dict[str, Any]:
+    """A strap parameter without the effects and with those named; ``fitted`` is what the model was run with."""
+    value = known["unbiased"] if named else fitted
+    rest = {key: known[key] for key in known if key != "unbiased"}
+    return {
+        "base": float(base),
+        "with_effect": float(value),
+        "fitted": float(fitted),
+        "unit": unit(name),
+    } | rest
 
 
 def _considered(attribution: Attribution, decision: Decision) -> list[dict[str, Any]]:
@@ -373,10 +385,11 @@ def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def strap_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: dict) -> list[dict[str, Any]]:
-    """``ci95``, ``bias_ln`` and ``verdict`` of each strap parameter of a fit, as in the identification.
+    """``unbiased``, ``ci95``, ``bias_ln`` and ``verdict`` of each strap parameter of a fit, as in the identification.
 
-    The interval, cut at the search's bounds, is about the point without the bias by noise of the pelvis, ``bias_ln``
-    is the way there. What the fit leaves beyond noise (chi-squared over ``samples``) widens it. ``settings`` are the
+    ``unbiased`` is the fitted value, without its bias by noise of the pelvis (``bias_ln``) where that is more than its
+    SD and the rest is known. The interval, cut at the search's bounds, is about the point without the bias. What the
+    fit leaves beyond noise (chi-squared over ``samples``) widens it. ``settings`` are the
     slices ``diagnosis`` and ``identifiability``.
     """
     options, limits = settings["diagnosis"]["search"], settings["identifiability"]
@@ -401,7 +414,16 @@ def strap_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: d
         else:
             verdict = WEAK if max(s, abs(b)) > limits["determined_sd_ln"] else DETERMINED
         ends = np.clip([value - b - 1.96 * s, value - b + 1.96 * s], low, high)
-        out.append({"ci95": [float(x) for x in np.exp(ends)], "bias_ln": float(b), "verdict": verdict})
+        told = abs(b) > s and s < limits["weak_sd_ln"]
+        unbiased = np.clip(value - b, low, high) if told else value
+        out.append(
+            {
+                "unbiased": float(np.exp(unbiased)),
+                "ci95": [float(x) for x in np.exp(ends)],
+                "bias_ln": float(b),
+                "verdict": verdict,
+            }
+        )
     return out
 
 

@@ -670,8 +670,8 @@ def _parameters(d: Mapping[str, Any]) -> str:
             "Unit",
         ],
         rows,
-        caption="The parameters of the interface, fitted on the training trial. The interval is about where they would "
-        "be without the noise of the replayed pelvis",
+        caption="The parameters of the interface, fitted on the training trial, less what noise of the replayed pelvis "
+        "adds where that stands out. The interval is about where they would be without it",
         numeric=(1, 2) if same else (1, 2, 3, 4),
     )
     if same:

@@ -40,7 +40,9 @@ sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim import signals
 from real2sim.configuration import validated
-from real2sim.coupling.effects import EFFECTS, Context, Fields, Placed, PlannedForce, Scales
+from real2sim.coupling.chains import Context
+from real2sim.coupling.effects import EFFECTS, Placed
+from real2sim.coupling.mechanisms import Fields, PlannedForce, Scales
 from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import Pair, attribute
 from real2sim.diagnosis.decide import Decision, decide

@@ -8,16 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import (
-    EFFECT_NAMES,
-    EFFECTS,
-    Context,
-    Placed,
-    PlannedForce,
-    Scales,
-    _bouc_wen,
-)
-from real2sim.coupling.plant import RestPose
+from real2sim.coupling.chains import Context
+from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.coupling.mechanisms import PlannedForce, Scales, bouc_wen
+from real2sim.coupling.plant import RestPose, robot_pose_for
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.attribute import (
     FAILED,
@@ -247,6 +241,24 @@ def test_markers_off_their_centres_give_back_the_motion_of_the_centres(plain):
     np.testing.assert_allclose(left, np.linalg.norm(offsets.mean(axis=0)), atol=1e-5)
 
 
+def test_a_start_out_of_reach_leaves_the_other_simulations_alone(monkeypatch):
+    model = replay([placed_whole("marker_offset"), placed_whole("sync_offset")], nsim=3)
+    x = [np.tile([[0.0, 0.01, 0.0, 0.0, -0.01, 0.0]], (3, 1)), np.full((3, 1), 0.03)]
+    whole, _ = model.run_effects(np.tile(PRIOR, (3, 1)), x)
+    asked = iter([False, True, False])
+
+    def reach(*pose):
+        if next(asked):
+            raise ValueError("too far")
+        return robot_pose_for(*pose)
+
+    monkeypatch.setattr("real2sim.coupling.superset.robot_pose_for", reach)
+    paths, joints = model.run_effects(np.tile(PRIOR, (3, 1)), x)
+    assert np.isnan(paths[1]).all()
+    np.testing.assert_array_equal(paths[[0, 2]], whole[[0, 2]])
+    assert np.isfinite(joints[[0, 2]]).all()
+
+
 def test_a_pelvis_that_was_seen_elsewhere_is_there_from_the_start():
     """A jump at the first step would hit the robot through the strap's damping."""
     model = replay([placed_whole("lab_yaw")], seconds=1.0, neutral_at=np.array([0.5, 0.3, 0.0]))
@@ -278,7 +290,7 @@ def test_noise_of_the_measured_coordinate_hardly_moves_a_strap_with_hysteresis()
         effect,
         plant=PlannedForce(
             lambda v, context, where, p: (
-                -_bouc_wen(
+                -bouc_wen(
                     v, np.interp(context.step_time_s, context.time_s, context.coordinates[:, where.axes[0]])
                 )[:, :, None]
             )

@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
-from real2sim.coupling.effects import Context, Fields, Placed, PlannedForce, Scales, Sight
+from real2sim.coupling.effects import Placed
+from real2sim.coupling.mechanisms import Fields, PlannedForce, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
@@ -123,7 +125,11 @@ class EffectReplay(Replay):
                 assert sighting is not None
                 sight = sighting.true(self._values[i][k], sight, self._context)
             rest = RestPose(sight.rest_rotation, sight.rest_position)
-            joints = robot_pose_for(self._twin, sight.rotation, sight.position)
+            try:
+                joints = robot_pose_for(self._twin, sight.rotation, sight.position)
+            except (ValueError, np.linalg.LinAlgError):
+                # out of the robot's reach: no simulation, like one that MuJoCo gives up on
+                joints = np.full(6, np.nan)
             self._sights.append(StartPose(joints, sight.rotation, sight.position, rest))
             self._headings[k] = sight.heading
 
@@ -156,33 +162,35 @@ class EffectReplay(Replay):
             self._see(m)
         sensors = self._simulate(parameters)
         paths = self._samples(sensors)
-        start = (
-            np.array([pose.joints for pose in self._sights])[:, None]
-            if self._sights
-            else self._start_pose.joints
-        )
+        start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
         joints = sensors[:, :: self.stride, self._robot_columns] - start
-        if self._sightings and np.isfinite(paths).all():
-            paths, joints = self._seen(paths, joints, sensors)
+        # what MuJoCo gave up on stays NaN, and the others are none the worse for it
+        done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2, 3)))
+        if self._sightings and len(done):
+            paths[done], joints[done] = self._seen(paths[done], joints[done], sensors[done], done)
         for placed, value in zip(self.effects, values, strict=True):
-            if placed.effect.output_chain is not None and np.isfinite(paths).all():
-                paths = placed.effect.output_chain(paths, value, self._context)
+            if placed.effect.output_chain is not None and len(done):
+                paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
         assert len(paths) == m
         return paths, joints
 
     def _seen(
-        self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray
+        self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Marker paths and robot joints as they are seen, for joint centres (m, n, 2, 3) and joints (m, n, 6)."""
+        """Marker paths and robot joints as they are seen, for joint centres (m, n, 2, 3) and joints (m, n, 6).
+
+        ``which`` (m,) are their numbers among the simulations.
+        """
         column = self.model.sensor("interface_rotation").adr[0]
         wxyz = sensors[:, :: self.stride, column : column + 4]
         rotation = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
+        rotation = rotation.reshape(*wxyz.shape[:2], 3, 3)
         for i in reversed(self._sightings):
             sighting = self.effects[i].effect.sighting
             assert sighting is not None
-            rotations = rotation.reshape(*wxyz.shape[:2], 3, 3)
-            paths = sighting.seen(paths, rotations, self._values[i], self._context)
-        c, s = np.cos(self._headings)[:, None], np.sin(self._headings)[:, None]
+            paths = sighting.seen(paths, rotation, self._values[i][which], self._context)
+        heading = self._headings[which, None]
+        c, s = np.cos(heading), np.sin(heading)
         x, y = joints[..., 0], joints[..., 1]
         return paths, np.stack([c * x - s * y, s * x + c * y, *np.moveaxis(joints[..., 2:], 2, 0)], axis=2)
 

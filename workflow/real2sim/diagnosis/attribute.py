@@ -13,7 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from real2sim.coupling.effects import EFFECTS, Placed, Scales
+from real2sim.coupling.effects import EFFECTS, Placed
+from real2sim.coupling.mechanisms import Scales
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares

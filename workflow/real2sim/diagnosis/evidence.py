@@ -21,8 +21,9 @@ from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
+from real2sim.coupling.chains import Context
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
-from real2sim.coupling.effects import Context, Scales
+from real2sim.coupling.mechanisms import Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
 from real2sim.coupling.superset import EffectReplay
 from real2sim.geometry import (

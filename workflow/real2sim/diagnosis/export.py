@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.coupling.effects import EFFECTS, Effect, Placed, PlannedForce, Scales, Where
+from real2sim.coupling.effects import EFFECTS, Effect, Placed
 from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
+from real2sim.coupling.mechanisms import PlannedForce, Scales, Where
 from real2sim.diagnosis.evidence import load_evidence, marker_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.errors import InputError

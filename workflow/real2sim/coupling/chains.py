@@ -1,0 +1,262 @@
+"""What a trial was measured with: changes of the pelvis path and of marker paths, sights of the interface, forces.
+
+Input chains map values and the trial's `Context` to another pelvis path, output chains simulated marker paths to what
+the markers show. A `Sighting` sets the plant up otherwise. Planned forces are computed from what was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lfilter, sosfilt
+from scipy.spatial.transform import Rotation
+
+from real2sim.geometry import interface_frame
+
+
+@dataclass
+class Context:
+    """What the chains and forces of a trial are computed from.
+
+    ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
+    (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the person stands;
+    ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
+    ``coordinates`` and ``rates`` (n, 6) of the interface; ``neutral_rotation`` (3, 3) and ``neutral_position`` (3,) of
+    the pelvis in the neutral trial [m, world], where the rest pose was taken.
+    """
+
+    time_s: np.ndarray
+    step_time_s: np.ndarray
+    pelvis_rotation: np.ndarray
+    pelvis_position: np.ndarray
+    interface_rotation: np.ndarray
+    start: int
+    robot_mass: float
+    measured: np.ndarray
+    spikes: np.ndarray
+    coordinates: np.ndarray
+    rates: np.ndarray
+    neutral_rotation: np.ndarray
+    neutral_position: np.ndarray
+
+
+# ---------------------------------------------------------------- how the interface was seen
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the plant is set up by: poses of the interface in the world at the start, and in the pelvis at rest.
+
+    ``heading`` [rad] is how far the robot's log, laid on the interface's markers, is turned from the world.
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    rest_rotation: np.ndarray
+    rest_position: np.ndarray
+    heading: float = 0.0
+
+
+class Sighting(Protocol):
+    """An effect by which the interface's markers are not where it is."""
+
+    def true(self, values: np.ndarray, seen: Sight, context: Context) -> Sight:
+        """What was the case, from what was seen, for values (p,)."""
+
+    def seen(
+        self, paths: np.ndarray, rotation: np.ndarray, values: np.ndarray, context: Context
+    ) -> np.ndarray:
+        """Marker paths (m, n, 2, 3) for joint centres and rotation (m, n, 3, 3) of the interface, values (m, p)."""
+
+
+class TurnedLab:
+    """The interface's markers are seen in a lab turned about the vertical, values (m, 1) [rad]."""
+
+    def true(self, values, seen, context):
+        """Turned back about the lab's origin, in the neutral trial as well."""
+        back = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
+        pelvis, origin = context.neutral_rotation, context.neutral_position
+        return Sight(
+            back @ seen.rotation,
+            back @ seen.position,
+            pelvis.T @ back @ pelvis @ seen.rest_rotation,
+            pelvis.T @ (back @ (origin + pelvis @ seen.rest_position) - origin),
+            seen.heading + float(values[0]),
+        )
+
+    def seen(self, paths, rotation, values, context):
+        """Turned about the lab's origin."""
+        turn = Rotation.from_rotvec(values * np.array([0.0, 0.0, 1.0])).as_matrix()
+        return np.einsum("mij,mnkj->mnki", turn, paths)
+
+
+class OffCentre:
+    """Markers that sit off the joint centres, fixed in the interface: values (m, 6) [m, interface], left and right."""
+
+    def true(self, values, seen, context):
+        """Pose from the centres; of the neutral trial's, from its mean pelvis."""
+        pelvis, origin = context.neutral_rotation, context.neutral_position
+        left, right = np.nanmean(context.measured[: context.start], axis=0)
+        half = float(np.linalg.norm(left - right)) / 2
+        offsets = values.reshape(2, 3)
+        rotation, position = _from_centres(seen.rotation, seen.position, half, offsets)
+        rest = pelvis @ seen.rest_rotation, origin + pelvis @ seen.rest_position
+        rest_rotation, rest_position = _from_centres(*rest, half, offsets)
+        turned = seen.rotation @ rotation.T
+        return Sight(
+            rotation,
+            position,
+            pelvis.T @ rest_rotation,
+            pelvis.T @ (rest_position - origin),
+            seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0])),
+        )
+
+    def seen(self, paths, rotation, values, context):
+        """Joint centres and their offsets."""
+        return paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3))
+
+
+def _from_centres(
+    rotation: np.ndarray, position: np.ndarray, half: float, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of the interface from that of its markers, ``half`` [m] from their middle, with offsets (2, 3) [m]."""
+    markers = position + half * np.array([rotation[:, 1], -rotation[:, 1]])
+    true = rotation
+    # the offsets are known in the axes that are sought
+    for _ in range(3):
+        left, right = markers - offsets @ true.T
+        true, centre = interface_frame(left, right, rotation[:, 2])
+    return true, centre
+
+
+# ---------------------------------------------------------------- input and output chain
+
+
+def turned_motion(values, context):
+    """Pelvis path (n, 3, 3), (n, 3) in the interface's frame, of a yaw (1,) [rad]."""
+    # The pelvis in the interface's frame, turned about the vertical through the lab's origin. The rest pose was taken
+    # in two frames too: what it holds of the turn at the place of the neutral trial goes with the pelvis.
+    turn = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
+    rest, where = context.neutral_rotation, context.neutral_position
+    fixed = rest.T @ turn.T @ rest
+    offset = rest.T @ turn.T @ (where - turn @ where)
+    rotation = turn @ context.pelvis_rotation
+    return rotation @ fixed, context.pelvis_position @ turn.T + rotation @ offset
+
+
+def earlier_pelvis(values, context):
+    """Pelvis path (n, 3, 3), (n, 3) of a pelvis that was late by a lag (1,) [s]."""
+    # the measured pelvis is late: it was there already
+    t = np.clip(context.time_s + values[0], context.time_s[0], context.time_s[-1])
+    position = CubicSpline(context.time_s, context.pelvis_position)(t)
+    vectors = Rotation.from_matrix(context.pelvis_rotation[0].T @ context.pelvis_rotation).as_rotvec()
+    return (
+        context.pelvis_rotation[0]
+        @ Rotation.from_rotvec(CubicSpline(context.time_s, vectors)(t)).as_matrix(),
+        position,
+    )
+
+
+def soft_tissue(values, context):
+    """Pelvis path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
+    # skin moves over bone in proportion to how far the pelvis has turned: translation and rotation artefact
+    start = context.pelvis_rotation[0]
+    turn = Rotation.from_matrix(start.T @ context.pelvis_rotation).as_rotvec()
+    moved = turn @ values[:9].reshape(3, 3).T
+    spun = turn @ values[9:].reshape(3, 3).T
+    rotation = context.pelvis_rotation @ Rotation.from_rotvec(-spun).as_matrix()
+    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", context.pelvis_rotation, moved)
+
+
+def _at_times(paths, time_s, wanted):
+    # paths (m, n, 2, 3) at other times: what lies outside stays at the end
+    clipped = np.clip(wanted, time_s[0], time_s[-1])
+    out = np.empty_like(paths)
+    for i in range(len(paths)):
+        out[i] = CubicSpline(time_s, paths[i])(clipped[i])
+    return out
+
+
+def late_markers(paths, values, context):
+    """Marker paths (m, n, 2, 3) later by offsets (m, 1) [s]."""
+    return _at_times(paths, context.time_s, context.time_s[None] - values[:, :1])
+
+
+def drifting_clock(paths, values, context):
+    """Marker paths (m, n, 2, 3) on a clock that drifts by (m, 1)."""
+    t = context.time_s - context.time_s[0]
+    return _at_times(paths, context.time_s, context.time_s[0] + t[None] * (1 + values[:, :1]))
+
+
+def filtered_markers(paths, values, context):
+    """Marker paths (m, n, 2, 3) behind a causal low-pass of cut-offs (m, 1) [Hz]."""
+    rate = 1 / (context.time_s[1] - context.time_s[0])
+    out = np.empty_like(paths)
+    for i, cutoff in enumerate(values[:, 0]):
+        sos = butter(2, cutoff, fs=rate, output="sos")
+        start = paths[i, :1]
+        out[i] = start + sosfilt(sos, paths[i] - start, axis=0)
+    return out
+
+
+def drifting_marker(side: int):
+    """Output chain of a ramp (m, 3) [m/s] in one interface marker: 0 left, 1 right."""
+
+    def drift(paths, values, context):
+        out = paths.copy()
+        t = context.time_s - context.time_s[0]
+        out[:, :, side] += t[None, :, None] * values[:, None, :]
+        return out
+
+    return drift
+
+
+def without_spikes(paths, values, context):
+    """Marker paths (m, n, 2, 3) with what was measured where it jumps."""
+    # what is no marker says nothing about the model
+    out = paths.copy()
+    out[:, context.spikes] = context.measured[context.spikes]
+    return out
+
+
+# ---------------------------------------------------------------- forces on the base
+
+
+def tilt(values, context, where, parameters):
+    """Forces (m, steps, 2) [N] on the base of slopes (m, 2) [rad]."""
+    force = 9.81 * context.robot_mass * values
+    return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)
+
+
+def reaction(values, context, where, parameters):
+    """Forces (m, steps, 2) [N] on the base of gain, delay and smoothing (m, 3)."""
+    # what the strap does to the interface, seen by a controller in the plane, answered late and with its bandwidth
+    force = -(
+        parameters[:, None, :3] * context.coordinates[:, :3] + parameters[:, None, 6:9] * context.rates[:, :3]
+    )
+    world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
+    out = np.empty((len(values), len(context.step_time_s), 2))
+    dt = context.step_time_s[1] - context.step_time_s[0]
+    for i, (gain, delay, smoothing) in enumerate(values):
+        decay = np.exp(-dt / max(smoothing, 1e-9))
+        for c in range(2):
+            late = np.interp(context.step_time_s - delay, context.time_s, world[i, :, c])
+            out[i, :, c] = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * late[0]])[0]
+    return out
+
+
+def ratchet(values, context, where, parameters):
+    """Forces (m, steps, 1) [N, Nm] on the strap joint of threshold and rate (m, 2)."""
+    # the rest pose follows what is pulled beyond a threshold, at a rate, and never returns
+    axis, dt = where.axes[0], context.time_s[1] - context.time_s[0]
+    pulled = where.side * context.coordinates[:, axis]
+    threshold, rate = values.T
+    slipped = np.zeros((len(values), len(pulled)))
+    for i in range(1, len(pulled)):
+        beyond = np.maximum(pulled[i] - slipped[:, i - 1] - threshold, 0.0)
+        slipped[:, i] = slipped[:, i - 1] + beyond * (1 - np.exp(-rate * dt))
+    force = where.side * parameters[:, axis, None] * slipped
+    return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]

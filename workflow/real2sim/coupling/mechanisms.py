@@ -1,0 +1,504 @@
+"""How effects get into the plant: what MuJoCo has natively, set per simulation, and forces planned before it.
+
+Each mechanism adds its elements to the description of the plant and writes its values into the fields of a batch:
+springs with a dead band, polynomials, elasto-plastic springs, dry friction, LuGre, a hidden joint, turned axes, other
+masses and impedances. No Python runs while it steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from real2sim.coupling.plant import STRAP_JOINTS
+from real2sim.geometry import AXES
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What the effects' parameters are measured in, for one person.
+
+    ``q``, ``v`` (6,) are large excursions and rates of the interface [m, rad; m/s, rad/s], ``k``, ``d`` (6,) stiffness
+    and damping of the plain fit, ``inertia`` (6,) what the robot puts against each strap axis [kg, kg m^2].
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    k: np.ndarray
+    d: np.ndarray
+    inertia: np.ndarray
+
+    @property
+    def force(self) -> np.ndarray:
+        """Strap force in a large excursion (6,) [N, Nm]."""
+        return self.k * self.q + self.d * self.v
+
+
+class Mechanism(Protocol):
+    """How an effect of the plant is compiled into it and set per simulation."""
+
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
+        """Add elements to the plant, neutral or not."""
+
+    def set(self, fields: Fields, where: Where, parameters: np.ndarray, values: np.ndarray) -> None:
+        """Write values (m, p) [SI] and what follows from the strap parameters (m, 12) into the fields."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where an effect acts: axis indices, a side (+1, -1, or 0 for none), a variant of its form; and whose it is."""
+
+    axes: tuple[int, ...] = ()
+    side: int = 0
+    variant: str = ""
+    owner: str = ""
+
+    @property
+    def tag(self) -> str:
+        """Suffix for the names of what is built there."""
+        side = {1: "_upper", -1: "_lower", 0: ""}[self.side]
+        return "_".join(AXES[a] for a in self.axes) + side + self.variant
+
+    @property
+    def element(self) -> str:
+        """Ending of the names of elements in the model: no two effects share them."""
+        return f"{self.owner}_{self.tag}"
+
+
+class Fields:
+    """Fields of the plant's batch, expanded per simulation when they are first asked for."""
+
+    def __init__(self, batch, model: mujoco.MjModel, m: int, scales: Scales):
+        self._batch, self.model, self.m, self.scales = batch, model, m, scales
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._batch.expand(name)[: self.m]
+
+    def joint(self, axis: int) -> int:
+        """Joint index of a strap axis."""
+        return self.model.joint(STRAP_JOINTS[axis]).id
+
+    def dof(self, axis: int) -> int:
+        """Degree of freedom of a strap axis."""
+        return int(self.model.joint(STRAP_JOINTS[axis]).dofadr[0])
+
+    def tendon(self, name: str) -> int:
+        """Index of a tendon."""
+        return self.model.tendon(name).id
+
+    def stiffest(self, axis: int) -> float:
+        """Stiffness that the time step bears on a strap axis."""
+        return float(0.5 * self.scales.inertia[axis] / self.model.opt.timestep**2)
+
+
+def _tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes) -> None:
+    tendon = spec.add_tendon(name=name, **attributes)
+    for joint, coefficient in joints.items():
+        tendon.wrap_joint(joint, coefficient)
+
+
+_FAR = 10.0  # a dead band's end that is never reached [m, rad]
+
+
+class SplitSpring:
+    """The axis' spring replaced by two one-way springs: one pulls below ``low``, one above ``high``.
+
+    ``shape`` maps values (m, p) to (low, high, factor of the lower, factor of the upper stiffness), each (m,).
+    """
+
+    def __init__(self, shape: Callable[[np.ndarray, Where], tuple]):
+        self._shape = shape
+
+    def build(self, spec, where):
+        """Two fixed tendons over the strap joint."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        for half in ("below", "above"):
+            _tendon(
+                spec, f"{half}_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
+            )
+
+    def set(self, fields, where, parameters, values):
+        """Dead bands and stiffness of both tendons; the joint's own spring is off."""
+        axis = where.axes[0]
+        low, high, lower, upper = self._shape(values, where)
+        below, above = fields.tendon(f"below_{where.element}"), fields.tendon(f"above_{where.element}")
+        fields["jnt_stiffness"][:, fields.joint(axis)] = 0
+        fields["tendon_lengthspring"][:, below, 0], fields["tendon_lengthspring"][:, below, 1] = low, _FAR
+        fields["tendon_lengthspring"][:, above, 0], fields["tendon_lengthspring"][:, above, 1] = -_FAR, high
+        fields["tendon_stiffness"][:, below] = lower * parameters[:, axis]
+        fields["tendon_stiffness"][:, above] = upper * parameters[:, axis]
+
+
+class OneSided:
+    """A share of the axis' spring pulls to one side alone, beyond a coordinate: values are place and share, (m, 2)."""
+
+    def build(self, spec, where):
+        """One fixed tendon over the strap joint."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        _tendon(
+            spec, f"one_sided_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR]
+        )
+
+    def set(self, fields, where, parameters, values):
+        """The joint keeps the rest of its spring; the tendon's free side is the dead band."""
+        axis, index = where.axes[0], fields.tendon(f"one_sided_{where.element}")
+        place, share = values.T
+        fields["jnt_stiffness"][:, fields.joint(axis)] = (1 - share) * parameters[:, axis]
+        fields["tendon_lengthspring"][:, index, 1 if where.side > 0 else 0] = where.side * place
+        fields["tendon_stiffness"][:, index] = share * parameters[:, axis]
+
+
+class Polynomial:
+    """Higher terms of the axis' spring or damper: ``field`` and which of its two coefficients."""
+
+    def __init__(self, name: str, term: int):
+        self._name, self._term = name, term
+
+    def build(self, spec, where):
+        """Nothing: every joint has them."""
+
+    def set(self, fields, where, parameters, values):
+        """Write the coefficient."""
+        axis = where.axes[0]
+        index = fields.joint(axis) if self._name.startswith("jnt") else fields.dof(axis)
+        fields[self._name][:, index, self._term] = values[:, 0]
+
+
+class Elastoplastic:
+    """Springs in parallel that yield one after the other: values are yield force and yield travel, (m, 2).
+
+    Equal springs whose travels are quantiles of an exponential law: together they approach the force as
+    1 - exp(-x / travel), as the Bouc-Wen law of exponent 1 does, with the memory of reversals that Masing described.
+    """
+
+    def __init__(self, elements: int):
+        self.travels = -np.log(1 - (np.arange(elements) + 0.5) / elements)
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"yield{i}_{where.element}" for i in range(len(self.travels))]
+
+    def build(self, spec, where):
+        """One yielding tendon per element."""
+        for name in self._names(where):
+            _yielding_tendon(spec, name, where)
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness so that they yield at the force; never stiffer than the time step bears."""
+        stiffness = values[:, 0] / values[:, 1] / self.travels.sum() * len(self.travels)
+        share = np.minimum(stiffness, fields.stiffest(where.axes[0])) / len(self.travels)
+        for name, travel in zip(self._names(where), self.travels, strict=True):
+            index = fields.tendon(name)
+            fields["tendon_stiffness"][:, index] = share
+            fields["tendon_springyield"][:, index] = (
+                travel * values[:, 1] * stiffness / (share * len(self.travels))
+            )
+
+    def along(self, q: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Force (m, n) of the springs along a coordinate (n,) that they rest at the origin of."""
+        slips = self.travels * values[:, 1:]
+        stiffness = values[:, :1, None] / values[:, 1:, None] / self.travels.sum()
+        stretch = np.empty((len(values), len(q), len(self.travels)))
+        stretch[:, 0] = np.clip(q[0], -slips, slips)
+        for i, way in enumerate(np.diff(q)):
+            stretch[:, i + 1] = np.clip(stretch[:, i] + way, -slips, slips)
+        return np.asarray((stiffness * stretch).sum(axis=2))
+
+
+def _yielding_tendon(spec: mujoco.MjSpec, name: str, where: Where) -> None:
+    joint = {STRAP_JOINTS[where.axes[0]]: 1.0}
+    _tendon(spec, name, joint, stiffness=[1, 0, 0], springlength=[0, 0], springyield=0.01)
+
+
+class DryFriction:
+    """Coulomb friction as a constraint, which sticks and slips at any time step: value (m, 1) is its force.
+
+    The constraint is made as hard as MuJoCo allows; its default lets the joint creep.
+    """
+
+    def build(self, spec, where):
+        """Friction of the joint, which has to be there when compiled."""
+        joint = spec.joint(STRAP_JOINTS[where.axes[0]])
+        joint.frictionloss = 1e-6
+        joint.solref_friction = [2.0 * spec.option.timestep, 1.0]
+        joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+
+    def set(self, fields, where, parameters, values):
+        """Write the force."""
+        fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
+
+
+class Bristles:
+    """LuGre friction of MuJoCo's motor model: values are Coulomb force, static excess, deflection, Stribeck rate.
+
+    Source: Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995) 419.
+    """
+
+    def build(self, spec, where):
+        """A passive motor without an electrical side."""
+        actuator = spec.add_actuator(
+            name=f"bristles_{where.element}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=STRAP_JOINTS[where.axes[0]],
+        )
+        # the compiled form of <dcmotor input="none" motorconst="0" resistance="1" lugre="...">, which the interface for
+        # descriptions refuses to write because it wants a motor constant
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_DCMOTOR
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_DCMOTOR
+        actuator.biastype = mujoco.mjtBias.mjBIAS_DCMOTOR
+        actuator.gainprm = [1] + [0] * 9
+        actuator.biasprm = [0, 0, 0, 0.001, 0.001, 0.01, 0, 0, 0, 0]
+        actuator.dynprm = [0, 0, 0, 0, 0, 1, 0.1, 0, 0, 0]
+        actuator.ctrlspec, actuator.actdim, actuator.actearly = 0, 1, True
+
+    def set(self, fields, where, parameters, values):
+        """Bristle stiffness so that it slips at the deflection, bristles damped half critically for the step."""
+        axis = where.axes[0]
+        index = fields.model.actuator(f"bristles_{where.element}").id
+        force, excess, deflection, rate = values.T
+        stiffness = np.minimum(np.abs(force) / deflection, fields.stiffest(axis))
+        fields["actuator_dynprm"][:, index, 5] = stiffness
+        fields["actuator_dynprm"][:, index, 6] = 0
+        fields["actuator_biasprm"][:, index, 3] = force
+        fields["actuator_biasprm"][:, index, 4] = force * (1 + excess)
+        fields["actuator_biasprm"][:, index, 5] = rate
+
+
+class Maxwell:
+    """Springs and dampers in series beside the axis' own: values are stiffness and shortest time constant, (m, 2).
+
+    ``branches`` of equal stiffness, which adds up to the value, have time constants that grow by ``ratio``: together
+    they relax with the logarithm of time. The point between spring and damper of each is a hidden slide in the world,
+    tied to the strap joint by a tendon.
+    """
+
+    def __init__(self, branches: int = 1, ratio: float = 1.0):
+        self._ratios = ratio ** np.arange(branches)
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"maxwell{i or ''}_{where.element}" for i in range(len(self._ratios))]
+
+    def build(self, spec, where):
+        """Hidden slide and tendon of each branch."""
+        for name in self._names(where):
+            body = spec.worldbody.add_body(
+                name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
+            )
+            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
+            joints = {STRAP_JOINTS[where.axes[0]]: 1.0, name: -1.0}
+            _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness and damping. The slides need no inertia: their damping is implicit."""
+        for name, ratio in zip(self._names(where), self._ratios, strict=True):
+            dof = int(fields.model.joint(name).dofadr[0])
+            stiffness = values[:, 0] / len(self._ratios)
+            fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
+            fields["dof_damping"][:, dof] = stiffness * values[:, 1] * ratio
+
+
+class Coupling:
+    """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone.
+
+    Two tendons over the sum and the difference of the (scaled) coordinates, with opposite signs: their diagonal terms
+    cancel, the product term is left.
+    """
+
+    def __init__(self, name: str):
+        self._field = name
+
+    def build(self, spec, where):
+        """Both tendons."""
+        a, b = (STRAP_JOINTS[i] for i in where.axes)
+        for sign, name in ((1.0, "sum"), (-1.0, "difference")):
+            _tendon(
+                spec, f"{name}_{where.element}", {a: 1.0, b: sign}, stiffness=[1, 0, 0], springlength=[0, 0]
+            )
+
+    def set(self, fields, where, parameters, values):
+        """Half the value on each, with opposite signs."""
+        for sign, name in ((1, "sum"), (-1, "difference")):
+            index = fields.tendon(f"{name}_{where.element}")
+            fields["tendon_stiffness"][:, index] = 0
+            fields[self._field][:, index] = sign * values[:, 0] / 2
+
+
+class TurnedAxes:
+    """All strap axes turned by a rotation vector, values (m, 3) [rad]."""
+
+    def build(self, spec, where):
+        """Nothing: axes are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """Turn the axis of each joint."""
+        turn = Rotation.from_rotvec(values).as_matrix()
+        for axis in range(6):
+            joint = fields.joint(axis)
+            fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
+
+
+def _pelvis_at_rest(model: mujoco.MjModel) -> np.ndarray:
+    """Pelvis in the interface's axes at rest, (3, 3); the interface is level, so the last row is the vertical."""
+    rest = np.zeros(9)
+    mujoco.mju_quat2Mat(rest, model.body("pelvis").quat)
+    return rest.reshape(3, 3)
+
+
+class TurnedBack:
+    """All strap axes turned about the vertical against a turn of the pelvis' path, value (m, 1) [rad]."""
+
+    def build(self, spec, where):
+        """Nothing: axes are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """The path carries the axes along with it; the strap hangs on the person all the same."""
+        vertical = _pelvis_at_rest(fields.model)[2]
+        TurnedAxes().set(fields, where, parameters, -values * vertical)
+
+
+class RestShift:
+    """The axis' spring rests elsewhere: value (m, 1)."""
+
+    def build(self, spec, where):
+        """Nothing: the rest pose is a field."""
+
+    def set(self, fields, where, parameters, values):
+        """Spring reference of the joint."""
+        joint = fields.model.joint(STRAP_JOINTS[where.axes[0]])
+        fields["qpos_spring"][:, joint.qposadr[0]] = values[:, 0]
+
+
+class Stop:
+    """A stiff one-way spring beyond a coordinate, values are place and stiffness (m, 2)."""
+
+    def build(self, spec, where):
+        """One tendon."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        _tendon(spec, f"stop_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """Its free side is the dead band."""
+        index, axis = fields.tendon(f"stop_{where.element}"), where.axes[0]
+        end = 1 if where.side > 0 else 0
+        fields["tendon_lengthspring"][:, index, end] = where.side * values[:, 0]
+        fields["tendon_stiffness"][:, index] = np.minimum(values[:, 1], fields.stiffest(axis))
+
+
+class InterfaceMass:
+    """Mass and isotropic inertia that the twin's interface body lacks, values (m, 2) [kg, kg m^2]."""
+
+    def build(self, spec, where):
+        """Nothing: mass is a field."""
+
+    def set(self, fields, where, parameters, values):
+        """Add to the body."""
+        body = fields.model.body("interface").id
+        fields["body_mass"][:, body] = fields.model.body_mass[body] + values[:, 0]
+        fields["body_inertia"][:, body] = fields.model.body_inertia[body] + values[:, 1:2]
+
+
+class RobotImpedance:
+    """Other impedance of the robot's joints than configured: ln-factors on stiffness and damping of some joints."""
+
+    def __init__(self, joints: tuple[str, ...]):
+        self._joints = joints
+
+    def build(self, spec, where):
+        """Nothing: impedances are fields."""
+
+    def set(self, fields, where, parameters, values):
+        """Scale, with the step's centring of the damping."""
+        factor, h = np.exp(values), fields.model.opt.timestep
+        for column, name in enumerate(self._joints):
+            joint = fields.model.joint(name)
+            dof, base = int(joint.dofadr[0]), fields.model.dof_damping[joint.dofadr[0]]
+            fields["jnt_stiffness"][:, joint.id] = (
+                fields.model.jnt_stiffness[joint.id] * factor[:, 2 * column]
+            )
+            damping = base * factor[:, 2 * column + 1]
+            fields["dof_damping"][:, dof] = damping
+            fields["dof_armature"][:, dof] = fields.model.dof_armature[dof] + (base - damping) * h / 2
+
+
+class PlannedForce:
+    """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
+
+    ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm]; ``joints`` are
+    names, or None for the strap joint of the effect's axis.
+    """
+
+    def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
+        self.force, self._joints = force, joints
+
+    def columns(self, model: mujoco.MjModel, where: Where) -> np.ndarray:
+        """Columns of the control that belong to the motors."""
+        return np.array([model.actuator_ctrladr[model.actuator(n).id] for n in self._names(where)])
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"planned_{joint}_{where.element}" for joint in self._targets(where)]
+
+    def _targets(self, where: Where) -> tuple[str, ...]:
+        return self._joints or (STRAP_JOINTS[where.axes[0]],)
+
+    def build(self, spec, where):
+        """Motors."""
+        for name, joint in zip(self._names(where), self._targets(where), strict=True):
+            actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
+            actuator.set_to_motor()
+
+    def set(self, fields, where, parameters, values):
+        """Nothing: forces are controls."""
+
+
+class BoucWen(PlannedForce):
+    """Bouc-Wen of exponent 1, values (m, 3) are stiffness, loading and dissipation of `bouc_wen`.
+
+    MuJoCo has no such element. Yielding springs with the same loading curve stand for most of it and answer to the
+    simulated motion; what the law differs from them is planned along the measured coordinate. Were all of it planned, a
+    stiff element would make a force of that coordinate's noise, and hold nothing in the simulation.
+    """
+
+    def __init__(self, elements: int):
+        super().__init__(self._difference)
+        self._springs = Elastoplastic(elements)
+
+    def build(self, spec, where):
+        """Yielding tendons and a motor."""
+        self._springs.build(spec, where)
+        super().build(spec, where)
+
+    def set(self, fields, where, parameters, values):
+        """Springs of the law's stiffness that yield along its loading curve."""
+        self._springs.set(fields, where, parameters, self._yielding(values))
+
+    def _yielding(self, values: np.ndarray) -> np.ndarray:
+        # force and travel of those springs; a slope that does not fall makes springs that never yield
+        travel = 1 / np.maximum(values[:, 1], 1e-3)
+        return np.stack([values[:, 0] * travel * self._springs.travels.mean(), travel], axis=1)
+
+    def _difference(self, values, context, where, parameters):
+        q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+        return (self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[:, :, None]
+
+
+def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Force z (m, n) of stiffness k, loading b + g and dissipation b, values (m, 3), along a coordinate (n,).
+
+    z' = k v - b |v| z - g v |z|: k - (b + g) |z| is its slope while it is loaded, k + (b - g) |z| while it is relieved;
+    it takes energy for b > 0. Source: Wen, J. Eng. Mech. Div. 102 (1976) 249, exponent 1.
+    """
+    stiffness, loading, dissipation = values.T
+    z = np.zeros((len(values), len(q)))
+    for i, way in enumerate(np.diff(q)):
+        step, last = stiffness * way, z[:, i]
+        # linear in z while the signs last: each step is exact for its increment
+        rate = np.where(step * last >= 0, loading, 2 * dissipation - loading) * abs(way)
+        small = np.abs(rate) < 1e-9
+        gain = np.where(small, 1.0, -np.expm1(-rate) / np.where(small, 1.0, rate))
+        z[:, i + 1] = last * np.exp(-rate) + step * gain
+    return z

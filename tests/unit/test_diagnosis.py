@@ -25,16 +25,18 @@ from real2sim.diagnosis.attribute import (
     _pruned,
     _single,
     _swapped,
+    _without_spikes,
     is_makeshift,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
-from real2sim.diagnosis.evidence import drawn_together
+from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import strap_verdicts
 from real2sim.geometry import interface_frame
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
+from real2sim.signals import lowpass
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
 
@@ -544,6 +546,40 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
     quiet = [Hypothesis((tilt, damping), z, (2880.0, 2880.0))]
     assert _swapped(search, quiet, list(places.values()), 5760, settings) == []
+
+
+def test_a_jump_shows_in_what_a_fit_leaves_though_the_motion_hides_it():
+    rng = np.random.default_rng(3)
+    noise = lowpass(2e-3 * rng.standard_normal((1200, 6)), 100, 10.0, 4).reshape(1200, 2, 3)
+    assert not spikes(noise, 100, SPIKE_RESIDUAL_SD).any()
+    jump = np.zeros((1200, 6))
+    jump[600, 2] = 0.03
+    jump = lowpass(jump, 100, 10.0, 4).reshape(1200, 2, 3)
+    found = spikes(noise + jump, 100, SPIKE_RESIDUAL_SD)
+    assert found[600, 0]
+    assert not found[:580].any()
+    assert not found[:, 1].any()
+    t = np.arange(1200) / 100
+    motion = 0.01 * np.sin(2 * np.pi * 5 * t)[:, None, None] * np.ones((1, 2, 3))
+    assert not spikes(motion + noise + jump, 100).any()
+
+
+def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    slack, outliers = places["slack"], places["outliers"]
+    plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
+    found = [
+        Hypothesis((slack,), np.zeros(13), (4000.0, 4000.0)),
+        Hypothesis((outliers,), np.zeros(12), (8900.0, 8900.0)),
+    ]
+    search = _Stuck()
+    search.fit = lambda effects, start: Hypothesis(tuple(effects), start, (2900.0, 2900.0))
+    search.mark_spikes = lambda best: best is found[0]
+    more = _without_spikes(search, plain, found, list(places.values()))
+    assert [h.names for h in more] == [("slack", "outliers"), ("outliers",), ("slack",)]
+    assert all(h is not found[1] for h in more), "judged by the old jumps"
+    search.mark_spikes = lambda best: False
+    assert _without_spikes(search, plain, found, list(places.values())) is found
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):

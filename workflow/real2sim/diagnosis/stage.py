@@ -16,6 +16,7 @@ from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import (
     Attribution,
     Pair,
+    Search,
     attribute,
     finished,
     is_makeshift,
@@ -55,7 +56,8 @@ def prepare(
 ) -> tuple[Pair, np.ndarray]:
     """Evidence of both trials, whitened, and the plain fit (12,) of the training trial in ln-parameters.
 
-    ``train``, ``held_out`` and ``neutral`` are folders of canonical tables.
+    The noise is simulated at a fit of J, and once more at the fit that it whitens. ``train``, ``held_out`` and
+    ``neutral`` are folders of canonical tables.
     """
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     options = settings["diagnosis"]
@@ -68,10 +70,15 @@ def prepare(
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
+    pair = Pair(evidence[0], evidence[1], bounds)
     for item in evidence:
         item.scales = scales
         item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
-    return Pair(evidence[0], evidence[1], bounds), z
+    # J is blind where noise is loud: what it makes of a stiff axis shakes otherwise than what the noise is then seen by
+    z = Search(pair, options["search"]).fit((), z).z
+    for item in evidence:
+        item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
+    return pair, z
 
 
 def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:

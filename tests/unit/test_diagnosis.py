@@ -32,7 +32,7 @@ from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_tri
 from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
-from real2sim.diagnosis.stage import strap_verdicts
+from real2sim.diagnosis.stage import PLANT_SD_LN, strap_verdicts
 from real2sim.geometry import interface_frame
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
@@ -603,7 +603,8 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     assert [row["unbiased"] for row in rows[:4]] == pytest.approx(np.exp(z[:4]))
     assert rows[4]["unbiased"] == pytest.approx(np.exp(z[4] - 0.2))
     assert rows[4]["ci95"][0] < np.exp(z[4] - 0.2) < rows[4]["ci95"][1]
-    assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * 0.05 * np.array([-1, 1])))
+    wide = np.hypot(0.05, PLANT_SD_LN)
+    assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
     assert rows[2]["ci95"][1] == pytest.approx(bounds.upper[2])
     worse = replace(fit, chi2=(9000.0, 900.0))
     again = strap_verdicts(pair, worse, 1000, CONFIG)

@@ -38,6 +38,9 @@ from real2sim.quality.verdict import refused_gates
 STAGE_OF = {effect.name: effect.stage for effect in EFFECTS}
 # Share of the floor below which J shows no gap that could be closed
 SMALLEST_GAP = 0.02
+# No ln-parameter is known better than this (SD): a plant with the step of the diagnosis errs as much, measured on the
+# phantom, whose integrator is another (docs/diagnosis.md)
+PLANT_SD_LN = 0.005
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
@@ -408,7 +411,7 @@ def strap_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: d
         seed=options["seed"],
     )
     excess = max(hypothesis.chi2[0] / samples, 1.0)
-    sd = np.sqrt(np.diag(covariance)[:12] * excess)
+    sd = np.hypot(np.sqrt(np.diag(covariance)[:12] * excess), PLANT_SD_LN)
     bias = hypothesis.z[:12] - point[:12]
     lower, upper = np.log(pair.bounds.lower), np.log(pair.bounds.upper)
     near = limits["at_bound_ln"]

@@ -564,6 +564,14 @@ def test_a_jump_shows_in_what_a_fit_leaves_though_the_motion_hides_it():
     assert not spikes(motion + noise + jump, 100).any()
 
 
+def test_a_gap_beside_a_jump_stays_what_was_simulated():
+    model = replay([placed_whole("outliers"), placed_whole("clock_drift")])
+    model._context.spikes[100:120, 0] = True
+    model._context.measured[110:115, 0] = np.nan
+    paths, _ = model.run_effects(PRIOR[None], [np.zeros((1, 0)), np.array([[0.001]])])
+    assert np.isfinite(paths).all()
+
+
 def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
     places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
     slack, outliers = places["slack"], places["outliers"]

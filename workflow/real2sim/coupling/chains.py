@@ -216,9 +216,10 @@ def drifting_marker(side: int):
 
 def without_spikes(paths, values, context):
     """Marker paths (m, n, 2, 3) with what was measured where it jumps."""
-    # what is no marker says nothing about the model
+    # what is no marker says nothing about the model; a gap beside a jump has nothing to show instead
     out = paths.copy()
-    out[:, context.spikes] = context.measured[context.spikes]
+    jumps = context.spikes & np.isfinite(context.measured).all(axis=2)
+    out[:, jumps] = context.measured[jumps]
     return out
 
 

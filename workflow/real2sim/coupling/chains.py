@@ -191,15 +191,19 @@ def drifting_clock(paths, values, context):
     return _at_times(paths, context.time_s, context.time_s[0] + t[None] * (1 + values[:, :1]))
 
 
-def filtered_markers(paths, values, context):
-    """Marker paths (m, n, 2, 3) behind a causal low-pass of cut-offs (m, 1) [Hz]."""
-    rate = 1 / (context.time_s[1] - context.time_s[0])
-    out = np.empty_like(paths)
-    for i, cutoff in enumerate(values[:, 0]):
-        sos = butter(2, cutoff, fs=rate, output="sos")
-        start = paths[i, :1]
-        out[i] = start + sosfilt(sos, paths[i] - start, axis=0)
-    return out
+def filtered_markers(order: int):
+    """Output chain of a causal Butterworth low-pass of an order, values (m, 1) are its cut-offs [Hz]."""
+
+    def filtered(paths, values, context):
+        rate = 1 / (context.time_s[1] - context.time_s[0])
+        out = np.empty_like(paths)
+        for i, cutoff in enumerate(values[:, 0]):
+            sos = butter(order, cutoff, fs=rate, output="sos")
+            start = paths[i, :1]
+            out[i] = start + sosfilt(sos, paths[i] - start, axis=0)
+        return out
+
+    return filtered
 
 
 def drifting_marker(side: int):

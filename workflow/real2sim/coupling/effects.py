@@ -218,7 +218,7 @@ _STAND = "quiet standing at three headings before and after"
 _SINGLE = "motions along one axis at a time"
 _MASS = "the same motion with a plate of known mass on the interface"
 
-_FRICTION = EffectParameter("force", "N|Nm", 0.002, 2.0, (0.05, 0.3), _force, log=True)
+_FRICTION = EffectParameter("force", "N|Nm", 0.002, 5.0, (0.05, 0.3), _force, log=True)
 
 EFFECTS: tuple[Effect, ...] = (
     Effect(
@@ -595,19 +595,23 @@ EFFECTS: tuple[Effect, ...] = (
         output_chain=chains.drifting_clock,
         remedy="Read the simulation at (1 + drift) t, t from the start, where the interface markers say t",
     ),
-    Effect(
-        "filter_lag",
-        "output",
-        "y low-passed by a causal filter of second order",
-        (EffectParameter("cutoff", "Hz", 0.5, 20.0, (6.0,), log=True),),
-        "T",
-        "fast content near the filter's cut-off",
-        scope="whole",
-        output_chain=chains.filtered_markers,
-        remedy=(
-            "Pass the simulated interface markers through a causal Butterworth low-pass of second order with this"
-            " cut-off, or export the markers without the filter"
-        ),
+    *(
+        Effect(
+            "filter_lag",
+            "output",
+            f"y low-passed by a causal filter of {name} order",
+            (EffectParameter("cutoff", "Hz", 0.5, 20.0, (6.0,), log=True),),
+            "T",
+            "fast content near the filter's cut-off",
+            scope="whole",
+            form=form,
+            output_chain=chains.filtered_markers(order),
+            remedy=(
+                f"Pass the simulated interface markers through a causal Butterworth low-pass of {name} order with this"
+                " cut-off, or export the markers without the filter"
+            ),
+        )
+        for order, name, form in ((2, "second", ""), (4, "fourth", "fourth_order"))
     ),
     Effect(
         "marker_offset",

@@ -287,7 +287,8 @@ HOW_IT_IS_DRIVEN = (
     "Shapes are left out: nothing touches.",
     "The pelvis follows actuators pelvis_tx to pelvis_rz: position relative to site pelvis_reference (m, rotation",
     "vector), plus 2 h velocity, plus 2 h^2 acceleration, velocities taken h/2 earlier (h: the time step). Damped",
-    "joints carry armature -damping h / 2, which centres the step: keep h, or change both.",
+    "joints carry armature -damping h / 2, which centres the step (+damping h / 2 beside dry friction, where implicit",
+    "damping is off): keep h, or change both.",
 )
 
 

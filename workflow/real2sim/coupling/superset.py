@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
-from real2sim.coupling.mechanisms import Fields, PlannedForce, Scales
+from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
@@ -34,6 +34,7 @@ class EffectReplay(Replay):
     def __init__(self, *, effects: Sequence[Placed], context: Context, scales: Scales, **replay):
         self.effects = tuple(effects)
         self._context, self._scales = context, scales
+        self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
         super().__init__(**replay)
         first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
         self._robot_columns = slice(first, first + 6)
@@ -71,6 +72,8 @@ class EffectReplay(Replay):
         for placed in self.effects:
             if placed.effect.plant is not None:
                 placed.effect.plant.build(spec, placed.where)
+        if self._frictional:
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
     def _input_basis(self, placed: Placed) -> tuple[np.ndarray, np.ndarray]:
         """Change with each parameter and its square, about none [SI]: of the pelvis command (2, p, nstep, 6), and of
@@ -196,6 +199,9 @@ class EffectReplay(Replay):
 
     def _roll(self, m: int) -> np.ndarray:
         fields = Fields(self._batch, self.model, m, self._scales)
+        others = np.setdiff1d(np.arange(self.model.nv), self._dofs)
+        if self._frictional:
+            self._armature[:m, others] = self.model.dof_armature[others]
         if self._sightings:
             self._set_up(m)
         for i, (placed, values) in enumerate(zip(self.effects, self._values, strict=True)):
@@ -203,6 +209,10 @@ class EffectReplay(Replay):
                 placed.effect.plant.set(fields, placed.where, self._parameters, values)
             if i in self._basis or i in self._columns_of:
                 self._add_control(i, placed, values, m)
+        if self._frictional:
+            # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
+            # friction holds would creep by what is missing. As an inertia proper the same motion is held.
+            self._armature[:m] += self.model.opt.timestep * self._damping[:m]
         return super()._roll(m)
 
     def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:

@@ -142,11 +142,11 @@ class Search:
 
     def fit(self, effects: Sequence[Placed], start: np.ndarray, final: bool = False) -> Hypothesis:
         """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged."""
-        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        residuals = self._residuals(effects, coarse=not final)
         kind = "final_" if final else ""
         iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
         z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP)
-        held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds)
+        held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds, coarse=not final)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
         # what cannot be simulated explains nothing
         judged = np.where(np.isfinite(judged), judged, FAILED)
@@ -154,6 +154,10 @@ class Search:
         self.evaluations += count
         (train, _), (other, j) = judged.tolist()
         return Hypothesis(tuple(effects), z, (train, other), j, count)
+
+    def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
+        """Those of the training trial; what is only searched with does not need the finest time step."""
+        return JointResiduals(self.pair.train, effects, self.pair.bounds, coarse=coarse)
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -186,7 +190,7 @@ class Search:
         friction, and no tangent leads out of there. So these are tried from the middle of their range too.
         """
         z = _fresh_starts(effects[-1], base, *self._middle)
-        costs = JointResiduals(self.pair.train, effects, self.pair.bounds).costs(z)
+        costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)
         costs = np.where(np.isfinite(costs), costs, FAILED)
         best = int(np.argmin(costs))
@@ -203,7 +207,7 @@ class Search:
 
         A spring that softens is a spring that lets go where the strap of ``base`` is softer than the plain one.
         """
-        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        residuals = self._residuals(effects)
         z = np.concatenate([base, x])
         for weaker in _weakened(effects[-1], x):
             z = np.concatenate([base, weaker])
@@ -222,8 +226,7 @@ class Search:
 
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
-        train = self.pair.train
-        problem = JointResiduals(train, base.effects, self.pair.bounds)
+        problem = self._residuals(base.effects)
         r0, j0 = problem.with_jacobian(base.z, np.arange(len(base.z)))
         self._r0, self._j0 = r0, j0
         out = []
@@ -241,7 +244,7 @@ class Search:
         self, effects: tuple[Placed, ...], base: Hypothesis, r0: np.ndarray, j0: np.ndarray
     ) -> Screened | None:
         placed = effects[-1]
-        residuals = JointResiduals(self.pair.train, effects, self.pair.bounds)
+        residuals = self._residuals(effects)
         own = np.arange(len(base.z), len(residuals.lower))
         best: Screened | None = None
         for start in placed.starts():

@@ -44,6 +44,8 @@ MARKER_FLOOR_M = 5e-5
 ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
 # The pelvis path is never smoothed below this; noise is never taken as smaller than that
 LOWEST_CUTOFF_HZ = 3.0
+# Most parts of a time step while a cause is only searched for
+COARSE = 2
 SMALLEST_NOISE_M = 2e-5
 # A spike stands out of what is faster than the cut-off by so many SD, of a path or of the residual that the best fit
 # leaves; the low-pass of the ingest smears it so far
@@ -109,10 +111,14 @@ class Evidence:
         """Number of whitened residuals."""
         return self._last(len(self.trial.time_s)) * self.channels
 
-    def replay(self, effects: list, nsim: int) -> EffectReplay:
-        """A replay of this trial with effects, at a fraction of the time step where one of them needs it."""
+    def replay(self, effects: list, nsim: int, *, coarse: bool = False) -> EffectReplay:
+        """A replay of this trial with effects, at a fraction of the time step where one of them needs it.
+
+        ``coarse``: at half of the time step at least, which is less exact and costs less.
+        """
         trial = self.trial
-        h = float(self.settings["plant"]["timestep_s"]) / max([1, *(e.effect.substeps for e in effects)])
+        parts = max([1, *(e.effect.substeps for e in effects)])
+        h = float(self.settings["plant"]["timestep_s"]) / (min(parts, COARSE) if coarse else parts)
         if h not in self.drives:
             rotation, position = trial.pelvis_rotation, trial.pelvis_position
             self.drives[h] = pelvis_drive(trial.time_s, rotation, position, h)

@@ -52,11 +52,16 @@ def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> li
 
 
 class JointResiduals(least_squares.Residuals):
-    """Whitened residuals of a trial in ln-parameters and searched numbers, with prior rows for those that have one."""
+    """Whitened residuals of a trial in ln-parameters and searched numbers, with prior rows for those that have one.
 
-    def __init__(self, evidence: Evidence, effects: Sequence[Placed], bounds: Bounds):
+    ``coarse``: see `Evidence.replay`.
+    """
+
+    def __init__(
+        self, evidence: Evidence, effects: Sequence[Placed], bounds: Bounds, *, coarse: bool = False
+    ):
         self.effects, self._evidence = tuple(effects), evidence
-        self._replay = evidence.replay(list(effects), BATCH)
+        self._replay = evidence.replay(list(effects), BATCH, coarse=coarse)
         lower, upper = [np.log(bounds.lower)], [np.log(bounds.upper)]
         for placed in effects:
             low, high = placed.bounds()

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real2sim.coupling import chains
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import PlannedForce, Scales, bouc_wen
 from real2sim.coupling.plant import RestPose, robot_pose_for
+from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.attribute import (
     FAILED,
@@ -502,6 +504,9 @@ class _Stuck(Search):
     def bearable(self, effects, base, x):
         return np.concatenate([base, x])
 
+    def is_noise(self, hypothesis):
+        return sum(hypothesis.chi2) < 6000
+
 
 def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
@@ -555,10 +560,53 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     search.fit = lambda effects, start: Hypothesis(
         tuple(effects), start, (2800.0, 2800.0) if effects[-1] is friction else (9000.0, 9000.0)
     )
-    tried = _swapped(search, found, [tilt, friction, damping, places["slack", ""]], 5760, settings)
+    tried = _swapped(search, found, [tilt, friction, damping, places["slack", ""]], settings)
     assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
     quiet = [Hypothesis((tilt, damping), z, (2880.0, 2880.0))]
-    assert _swapped(search, quiet, list(places.values()), 5760, settings) == []
+    assert _swapped(search, quiet, list(places.values()), settings) == []
+
+
+def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through():
+    friction = placed_whole("coulomb")
+
+    class Trial:
+        samples = 2880
+
+        def noise_through(self, effects, parameters, x, draws, seed):
+            assert [p.key for p in effects] == [friction.key]
+            return np.linspace(5000.0, 7000.0, draws)
+
+    search = Search(Pair(Trial(), Trial(), Bounds(PRIOR / 3, PRIOR * 3)), CONFIG["diagnosis"]["search"])
+    found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
+    assert abs(search.excess(found)) < 0.1
+    assert search.is_noise(found)
+    # the plain plant is measured by the noise that whitens, and so is what leaves no more than that
+    plain = Hypothesis((), np.zeros(12), (6000.0, 6000.0))
+    assert search.excess(plain) == pytest.approx((12_000 - 5760) / np.sqrt(2 * 5760))
+    assert not search.is_noise(plain)
+    calm = Hypothesis((friction,), np.ones(13), (2900.0, 2900.0))
+    assert search.excess(calm) == pytest.approx(40 / np.sqrt(2 * 5760))
+
+
+def test_a_lag_is_exact_far_from_none():
+    lag = next(e for e in EFFECTS if e.name == "replay_lag")
+    model = replay([Placed(lag, lag.places()[0], SCALES)])
+    basis = model._basis[0]
+    late = np.array([0.061])
+    asked = servo_command(model._drive_for(*chains.earlier_pelvis(late, model._context)))
+    told = servo_command(model.drive) + np.tensordot(basis.weights(late[None])[0], basis.commands, axes=1)
+    # where the path ends it has a corner
+    np.testing.assert_allclose(told[20:-20], asked[20:-20], atol=2e-5)
+    np.testing.assert_allclose(
+        basis.weights(basis.nodes[[3]][None])[0], np.eye(len(basis.nodes))[3], atol=1e-9
+    )
+
+
+def test_every_parameter_of_an_effect_is_free():
+    for effect in EFFECTS:
+        lower, upper = Placed(effect, effect.places()[0], SCALES).bounds()
+        # see `refit`
+        assert np.all(upper - lower > 0.05), effect.name
 
 
 def test_a_jump_shows_in_what_a_fit_leaves_though_the_motion_hides_it():

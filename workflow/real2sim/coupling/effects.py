@@ -588,7 +588,7 @@ EFFECTS: tuple[Effect, ...] = (
         "clock_drift",
         "output",
         "y((1 + eps) t)",
-        (EffectParameter("drift", "1", -0.02, 0.02, (0.001,)),),
+        (EffectParameter("drift", "1", -2.0, 2.0, (0.1,), lambda s, i: 0.01),),
         "clock_drift",
         _JERK,
         scope="whole",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -14,6 +15,37 @@ from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
+
+# Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
+NODES = 21
+
+
+@dataclass(frozen=True)
+class _InputBasis:
+    """Changes of the pelvis command (b, nstep, 6) and of pelvis and rate at the start (b, 12) by an input chain.
+
+    With ``nodes`` (b,) those are the changes at these evenly spaced values of its one parameter, else slopes and
+    curvatures of its parameters.
+    """
+
+    commands: np.ndarray
+    starts: np.ndarray
+    nodes: np.ndarray | None = None
+
+    def weights(self, values: np.ndarray) -> np.ndarray:
+        """Shares (m, b) of the changes for values (m, p)."""
+        if self.nodes is None:
+            return np.hstack([values, values**2])
+        # cubic through the four nodes about a value: a path that ends has no smooth continuation to fit a global one to
+        step = self.nodes[1] - self.nodes[0]
+        place = (values[:, 0] - self.nodes[0]) / step
+        first = np.clip(np.floor(place).astype(int) - 1, 0, len(self.nodes) - 4)
+        t = (place - first)[:, None]
+        out = np.zeros((len(values), len(self.nodes)))
+        for k in range(4):
+            others = np.delete(np.arange(4), k)
+            out[np.arange(len(values)), first + k] = np.prod((t - others) / (k - others), axis=1)
+        return out
 
 
 class EffectReplay(Replay):
@@ -44,10 +76,10 @@ class EffectReplay(Replay):
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
         self._parameters = np.empty((0, 12))
+        # pelvis command of each simulation before any input chain
+        self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
         chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
-        bases = {i: self._input_basis(placed) for i, placed in chains.items()}
-        self._basis = {i: command for i, (command, _) in bases.items()}
-        self._start_basis = {i: start for i, (_, start) in bases.items()}
+        self._basis = {i: self._input_basis(placed) for i, placed in chains.items()}
         self._columns_of = {
             i: placed.effect.plant.columns(self.model, placed.where)
             for i, placed in enumerate(self.effects)
@@ -75,27 +107,35 @@ class EffectReplay(Replay):
         if self._frictional:
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
-    def _input_basis(self, placed: Placed) -> tuple[np.ndarray, np.ndarray]:
-        """Change with each parameter and its square, about none [SI]: of the pelvis command (2, p, nstep, 6), and of
-        pelvis and rate at the start (2, p, 12).
+    def _input_basis(self, placed: Placed) -> _InputBasis:
+        """How an input chain changes the pelvis command and its start, as far as the parameters' bounds.
 
-        A parabola through steps of a tenth of the range: a lever arm of metres makes the square count.
+        One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
+        a tenth of its range: a lever arm of metres makes the square count.
         """
         context, chain = self._context, placed.effect.input_chain
         assert chain is not None
+        zero = servo_command(self.drive), _first(self.drive)
+
+        def changed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            drive = self._drive_for(*chain(values, context))
+            return servo_command(drive) - zero[0], _first(drive) - zero[1]
+
         count = len(placed.effect.parameters)
-        step = placed.values(placed.bounds()[1][None] / 10)[0]
-        out = np.empty((2, count, self.nstep, 6)), np.empty((2, count, 12))
-        plain = servo_command(self.drive), _first(self.drive)
-        for i in range(count):
-            ahead, behind = (
-                self._drive_for(*chain(sign * step[i] * np.eye(count)[i], context)) for sign in (1, -1)
-            )
-            for basis, read, zero in zip(out, (servo_command, _first), plain, strict=True):
-                up, down = read(ahead) - zero, read(behind) - zero
-                basis[0, i] = (up - down) / (2 * step[i])
-                basis[1, i] = (up + down) / (2 * step[i] ** 2)
-        return out
+        low, high = (placed.values(bound[None])[0] for bound in placed.bounds())
+        if count == 1:
+            nodes = np.linspace(low[0], high[0], NODES)
+            commands, starts = zip(*(changed(node[None]) for node in nodes), strict=True)
+            return _InputBasis(np.array(commands), np.array(starts), nodes)
+        steps = np.diag(placed.values(placed.bounds()[1][None] / 10)[0])
+        # slope and curvature of each parameter from a step either way
+        both = [(changed(step), changed(-step)) for step in steps]
+        parts = []
+        for k in range(2):
+            up, down = (np.array([pair[way][k] for pair in both]) for way in (0, 1))
+            scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
+            parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
+        return _InputBasis(*parts)
 
     def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
         frame = (self.drive.reference_rotation, self.drive.reference_origin)
@@ -110,9 +150,8 @@ class EffectReplay(Replay):
             return super()._starts(m)
         # a pelvis that is elsewhere than it was seen is so from the first step on: no jump, which would hit the robot
         first = np.tile(_first(self.drive), (m, 1))
-        for i, basis in self._start_basis.items():
-            values = self._values[i][:m]
-            first += np.einsum("kmp,kpc->mc", np.array([values, values**2]), basis)
+        for i, basis in self._basis.items():
+            first += basis.weights(self._values[i][:m]) @ basis.starts
         poses = self._sights or [self._start_pose] * m
         states = [self._state_at(row[:6], row[6:], pose) for row, pose in zip(first, poses, strict=False)]
         return np.array([q for q, _ in states]), np.array([v for _, v in states])
@@ -150,7 +189,7 @@ class EffectReplay(Replay):
 
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another pelvis command (nstep, 6) from now on."""
-        self._control[simulation, :, :6] = command
+        self._control[simulation, :, :6] = self._commands[simulation] = command
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate strap parameters (m, 12) with searched numbers (m, p) of each effect.
@@ -219,12 +258,11 @@ class EffectReplay(Replay):
         # controls start anew at every call: the first effect that adds to them restores the plain command
         first = min([*self._basis, *self._columns_of])
         if i == first:
-            self._control[:m, :, :6] = servo_command(self.drive)
+            self._control[:m, :, :6] = self._commands[:m]
             self._control[:m, :, 6:] = 0
         if i in self._basis:
-            self._control[:m, :, :6] += np.einsum(
-                "kmp,kpnc->mnc", np.array([values, values**2]), self._basis[i], optimize=True
-            )
+            basis = self._basis[i]
+            self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
         else:
             assert isinstance(placed.effect.plant, PlannedForce)
             force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])

@@ -138,6 +138,7 @@ class Search:
         self.pair, self._settings = pair, settings
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
+        self._noise: dict[tuple[str, bytes], tuple[float, float]] = {}
         self._r0, self._j0 = np.empty(0), np.empty((0, 12))
 
     def fit(self, effects: Sequence[Placed], start: np.ndarray, final: bool = False) -> Hypothesis:
@@ -163,6 +164,30 @@ class Search:
     def samples(self) -> tuple[int, int]:
         """Whitened residuals of the two trials."""
         return self.pair.train.samples, self.pair.held_out.samples
+
+    def excess(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis leaves beyond noise, in SD of what noise leaves.
+
+        Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
+        """
+        left, mean = sum(hypothesis.chi2), float(sum(self.samples))
+        sd = np.sqrt(2 * mean)
+        if left - mean < self._settings["pair_excess_sigma"] * sd or not hypothesis.effects:
+            return float((left - mean) / sd)
+        key = hypothesis.key, hypothesis.z.tobytes()
+        if key not in self._noise:
+            parameters, x = np.exp(hypothesis.z[:12]), hypothesis.split()
+            settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
+            draws = self.pair.train.noise_through(*settled) + self.pair.held_out.noise_through(*settled)
+            self.evaluations += 2 * BATCH
+            known = np.isfinite(draws).all()
+            self._noise[key] = (draws.mean(), draws.std()) if known else (mean, sd)
+        seen_mean, seen_sd = self._noise[key]
+        return float((left - max(mean, seen_mean)) / max(sd, seen_sd))
+
+    def is_noise(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis leaves nothing that a further effect has to explain."""
+        return self.excess(hypothesis) < self._settings["pair_excess_sigma"]
 
     def fit_screened(self, screened: Screened) -> Hypothesis:
         """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that.
@@ -355,16 +380,16 @@ def attribute(
     progress(f"screened {len(listed)} hypotheses")
     hypotheses = [_single(search, s, plain) for s in _shortlist(singles, settings)]
     hypotheses.sort(key=lambda h: sum(h.chi2))
-    excess = (sum(hypotheses[0].chi2) - sum(count)) / np.sqrt(2 * sum(count))
+    excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
         hypotheses += more
-        hypotheses += _swapped(search, hypotheses, everything, sum(count), settings)
+        hypotheses += _swapped(search, hypotheses, everything, settings)
         grown = _grow(search, hypotheses, promising, sum(count), settings, progress)
         hypotheses += grown
         if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
-            hypotheses += _swapped(search, hypotheses, everything, sum(count), settings)
+            hypotheses += _swapped(search, hypotheses, everything, settings)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.evaluations)
@@ -436,11 +461,10 @@ def _pairs(
         options += search.screen(single, _elsewhere(single, singles))[:1]
     out: list[Hypothesis] = []
     seen = set()
-    noise = sum(search.samples) + settings["pair_excess_sigma"] * np.sqrt(2 * sum(search.samples))
     for option in sorted(options, key=lambda s: s.predicted):
         key = _keys(option.effects)
         # once a pair leaves nothing but noise, a few rivals are enough
-        done = len(out) >= settings["pair_rivals"] and min(sum(h.chi2) for h in out) < noise
+        done = len(out) >= settings["pair_rivals"] and search.is_noise(min(out, key=lambda h: sum(h.chi2)))
         if key not in seen and not done:
             seen.add(key)
             out.append(search.fit_screened(option))
@@ -491,7 +515,7 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _swapped(
-    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], samples: int, settings: dict
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict
 ) -> list[Hypothesis]:
     """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
 
@@ -500,7 +524,7 @@ def _swapped(
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     for member in best.effects:
-        if sum(best.chi2) - samples < settings["pair_excess_sigma"] * np.sqrt(2 * samples):
+        if search.is_noise(best):
             break
         kept = [i for i, placed in enumerate(best.effects) if placed is not member]
         others = tuple(best.effects[i] for i in kept)
@@ -561,7 +585,7 @@ def _grow(
     out: list[Hypothesis] = []
     while len(best.effects) < settings["most_effects"]:
         left = sum(best.chi2) - samples
-        if left < settings["pair_excess_sigma"] * np.sqrt(2 * samples):
+        if search.is_noise(best):
             break
         options = search.screen(best, _without(promising, best))[: settings["pair_refits"]]
         more = [search.fit_screened(option) for option in options]
@@ -570,5 +594,5 @@ def _grow(
         if sum(best.chi2) - sum(grown.chi2) < settings["grow_share"] * left:
             break
         best = grown
-        progress(f"{best.key} leaves {(sum(best.chi2) - samples) / np.sqrt(2 * samples):.1f} sigma")
+        progress(f"{best.key} leaves {search.excess(best):.1f} sigma")
     return out

@@ -8,7 +8,7 @@ band of frequency and over all channels at once. After that a sum of squares is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from real2sim import signals
 from real2sim.coupling.chains import Context
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
+from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
 from real2sim.coupling.superset import EffectReplay
@@ -217,16 +218,38 @@ class Evidence:
             whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.whiteners = np.array(whiteners)
 
-    def _noise(self, parameters: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
+    def noise_through(
+        self,
+        effects: Sequence[Placed],
+        parameters: np.ndarray,
+        x: Sequence[np.ndarray],
+        draws: int,
+        seed: int,
+    ) -> np.ndarray:
+        """Chi-squared (draws,) that noise alone leaves where effects with searched numbers x (p,) each are the truth.
+
+        Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
+        """
+        error = self._noise(parameters, draws, np.random.default_rng(seed), effects, x)
+        return np.sum(self.whiten(error) ** 2, axis=1)
+
+    def _noise(
+        self,
+        parameters: np.ndarray,
+        draws: int,
+        rng: np.random.Generator,
+        effects: Sequence[Placed] = (),
+        x: Sequence[np.ndarray] = (),
+    ) -> np.ndarray:
         """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
         settings = self.settings["ingest"]
-        replay = self.replay([], draws + 1)
+        replay = self.replay(list(effects), draws + 1, coarse=True)
         markers = np.empty((draws, len(self.trial.time_s), 2, 3))
         for i in range(draws):
             self._shake(replay, i + 1, rng)
             own = self._filtered_noise(INTERFACE_MARKERS, settings["cutoff_hz"], rng)
             markers[i] = own - own[: self.context.start].mean(axis=0)
-        return self._without_gaps(self._apart(replay, parameters, draws, markers))
+        return self._without_gaps(self._apart(replay, parameters, draws, markers, x))
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
@@ -258,10 +281,16 @@ class Evidence:
         replay.set_command(i, replay.command_for(rotation, position))
 
     def _apart(
-        self, replay: EffectReplay, parameters: np.ndarray, draws: int, markers: np.ndarray | float
+        self,
+        replay: EffectReplay,
+        parameters: np.ndarray,
+        draws: int,
+        markers: np.ndarray | float,
+        x: Sequence[np.ndarray] = (),
     ) -> np.ndarray:
         """Residuals (draws, n, c) of the shaken simulations against the first, less noise of the markers themselves."""
-        paths, joints = replay.run_effects(np.tile(parameters, (draws + 1, 1)), [])
+        alike = [np.tile(part, (draws + 1, 1)) for part in (parameters, *x)]
+        paths, joints = replay.run_effects(alike[0], alike[1:])
         error = (paths[1:] - paths[:1] - markers).reshape(draws, -1, 6)
         if self.robot is not None:
             moved = joints[1:] - joints[:1]

@@ -115,7 +115,7 @@ def refit(
 
     ``keep``: see `least_squares.minimise`.
     """
-    free = np.flatnonzero(residuals.upper - residuals.lower > 0.05)
+    free = np.flatnonzero(residuals.upper - residuals.lower > 1e-4)
     z, cost, _, _ = least_squares.minimise(
         residuals, start, free, iterations=iterations, ftol=ftol, keep=keep
     )

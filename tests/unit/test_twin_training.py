@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
-from real2sim.twin.env import ACTIONS, OBSERVATIONS, RootState, WalkEnv, correction_of, observe, rotations
+from real2sim.twin.env import (
+    ACTIONS,
+    OBSERVATIONS,
+    RootState,
+    Stops,
+    WalkEnv,
+    correction_of,
+    observe,
+    rotations,
+)
 from real2sim.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
 from real2sim.twin.human import MIRROR, MIRROR_SIGN
 from real2sim.twin.policy import load_policy, save_policy, save_reference
@@ -112,14 +121,20 @@ def test_pushes_begin_last_and_end():
     assert 0.07 <= np.mean(lengths) * env.control_s <= 0.25
 
 
+def _no_stops(settings: dict) -> dict:
+    return settings | {"stops": settings["stops"] | {"share": 0.0}}
+
+
 def test_held_pelvises_are_drawn_toward_a_slower_speed():
     settings, env = twin_settings()["training"]["hold"], _env(200)
-    env.hold(settings | {"share": 0.4})
+    env.hold(_no_stops(settings) | {"share": 0.4, "towed": 0.5})
     damping = env.batch.expand("dof_damping")
     damping = damping if damping.ndim == 2 else damping[..., 0]
-    held = damping[:, 0] > 0
+    held, whole = damping[:, 0] > 0, damping[:, 1] > 0
     assert 0.3 < held.mean() < 0.5
+    assert 0.3 < whole[held].mean() < 0.7
     assert np.all(damping[~held, :6] == 0)
+    assert np.all(damping[~whole, 1:6] == 0)
     assert np.all(damping[:, 0] <= settings["damping"]["along"])
     env.reset(np.arange(200))
     toward = env._push[held, 1, 0] / damping[held, 0] / reference().speed
@@ -129,10 +144,36 @@ def test_held_pelvises_are_drawn_toward_a_slower_speed():
     env.push_force = 100.0
     seen = []
     for _ in range(60):
-        env._schedule_pushes()
+        env.step(_still(env.observation()))
         seen.append(env._push[:, 1, :2] - np.column_stack([env._drag, np.zeros(200)]))
     assert np.abs(seen).max() <= 100 + 1e-9
     assert 0 < np.mean(np.any(np.array(seen) != 0, axis=2)) < 0.5
+
+
+def test_a_loose_strap_acts_at_its_stops_alone():
+    settings = twin_settings()["training"]["hold"]["stops"]
+    stops = Stops(np.array([1, 3]), np.array([0.9, 0.9]), settings, 0.024)
+    qpos = np.zeros((3, 7))
+    stops.reset(np.array([0, 1, 3]), qpos)
+
+    def root(along: float, lateral: float, yaw: float) -> RootState:
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = np.tile(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), (4, 1, 1))
+        moving = np.tile([1.0, 0.0, 0.0], (4, 1))
+        return RootState(np.tile([along, lateral, 1.0], (4, 1)), moving, turned, np.zeros((4, 3)))
+
+    assert np.all(stops.force(root(0.02, 0.05, 0.3)) == 0)
+    force = stops.force(root(0.2, 0.1, 0.6))
+    assert force.shape == (2, 3)
+    assert np.all(force[:, :2] < -50)
+    assert np.all(force[:, 2] < -1)
+    # the robot was drawn to the side and around, and held its own speed
+    assert np.all(stops.robot[:, 1:] > 0)
+    np.testing.assert_allclose(stops.robot[:, 0], 2 * 0.9 * 0.024)
+    # nobody is held harder than a robot can
+    far = stops.force(root(3.0, -2.0, 0.0))
+    assert np.all(far[:, 0] == -settings["force_cap_n"])
+    assert np.all(far[:, 1] == settings["force_cap_n"])
 
 
 def test_training_is_the_same_bits_again_and_after_an_interruption(tmp_path):

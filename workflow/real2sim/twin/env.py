@@ -162,6 +162,61 @@ def correction_of(action: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     return np.where(mirrored[:, None], back, action) * action_scale()
 
 
+class Stops:
+    """A robot behind a strap that does nothing before its stops, for some simulations of a `WalkEnv`.
+
+    Along the path the robot keeps its distance below a speed; sideways and about the vertical it yields like a spring
+    beside a damper. Forces are renewed at every control step, which their stiffness has to bear.
+
+    Parameters
+    ----------
+    rows
+        Simulations (k,) that hang in such a strap.
+    speed
+        Highest of their robots (k,) [m/s].
+    settings
+        Slice ``twin.training.hold.stops``.
+    control_s
+        Control step [s].
+    """
+
+    def __init__(self, rows: np.ndarray, speed: np.ndarray, settings: dict, control_s: float):
+        self.rows, self._speed, self._control_s = rows, speed, control_s
+        self._play = np.array([settings["along_m"], settings["lateral_m"], np.radians(settings["yaw_deg"])])
+        axes = [settings["robot"][name] for name in ("lateral", "yaw")]
+        self._spring = np.array([a["stiffness"] for a in axes])
+        self._damper = np.array([a["damping"] for a in axes])
+        self._stiffness = np.array([settings["stiffness"]] * 2 + [settings["yaw_stiffness"]])
+        self._damping, self._gain = settings["damping"], settings["distance_gain_per_s"]
+        self._cap = settings["force_cap_n"]
+        # along, lateral [m], yaw [rad] of the robot's end of the strap
+        self.robot = np.zeros((len(rows), 3))
+
+    def reset(self, ids: np.ndarray, qpos: np.ndarray) -> None:
+        """Let simulations ``ids`` start at ``qpos`` in the middle of the strap's play."""
+        which, where = np.isin(self.rows, ids), np.searchsorted(ids, self.rows)
+        self.robot[which] = 0.0
+        self.robot[which, 0] = qpos[where[which], 0]
+
+    def force(self, root: RootState) -> np.ndarray:
+        """Forward and lateral force and yaw torque (k, 3) on the pelvis [N, Nm] over the next control step."""
+        r, dt = self.rows, self._control_s
+        pose, along = np.column_stack([root.position[r, :2], root.yaw[r]]), root.velocity[r, 0]
+        # it follows the person and keeps the distance, as fast as it may
+        speed = np.clip(along + self._gain * (pose[:, 0] - self.robot[:, 0]), 0.0, self._speed)
+        self.robot[:, 0] += speed * dt
+        stretch = pose - self.robot
+        beyond = stretch - np.clip(stretch, -self._play, self._play)
+        force = -self._stiffness * beyond
+        force[:, 0] -= np.where(beyond[:, 0] != 0, self._damping * (along - speed), 0.0)
+        # a stop only pushes back
+        force[:, 0] = np.where(force[:, 0] * beyond[:, 0] < 0, force[:, 0], 0.0)
+        force[:, 0] = np.clip(force[:, 0], -self._cap, self._cap)
+        force[:, 1:] = np.clip(force[:, 1:], -self._cap, self._cap)
+        self.robot[:, 1:] += (-force[:, 1:] - self._spring * self.robot[:, 1:]) / self._damper * dt
+        return force
+
+
 class WalkEnv:
     """``nsim`` people walking after a reference; arrays in, arrays out.
 
@@ -203,7 +258,9 @@ class WalkEnv:
         self._last = np.zeros((nsim, ACTIONS))
         self.push_force = 0.0
         self._drag = np.zeros(nsim)
+        self.stops: Stops | None = None
         self.sustained = False  # whether some pushes last, as a robot's drag does
+        self.impulse = np.zeros((nsim, 2))  # push on each pelvis now, forward and to the left [N]
         self._push_left = np.zeros(nsim, int)
         self._push_next = np.zeros(nsim, int)
         self._weights = np.array([_WEIGHT.get(base_name(j), 0.7) for j in COMMANDED])
@@ -214,17 +271,24 @@ class WalkEnv:
         """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
 
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
-        the path pulls toward a speed within ``speed`` (shares of the person's own).
+        the path pulls toward a speed within ``speed`` (shares of the person's own); of those held, a share is only
+        towed by it. Another share of the simulations hangs in a strap that does nothing before its stops (`Stops`).
         """
         rng, n = self.rng, self.nsim
-        held = rng.uniform(size=n) < settings["share"]
+        drawn = rng.uniform(size=n)
+        held = drawn < settings["share"]
+        whole = held & (rng.uniform(size=n) >= settings["towed"])
         damping, armature = self.batch.expand("dof_damping"), self.batch.expand("dof_armature")
         for dof, name in ((0, "along"), (1, "lateral"), (3, "roll"), (5, "yaw")):
-            damping[:, dof] = np.where(held, rng.uniform(0, settings["damping"][name], n), 0.0)
-        armature[:, 5] = np.where(held, rng.uniform(0, settings["yaw_inertia"], n), 0.0)
+            some = held if name == "along" else whole
+            damping[:, dof] = np.where(some, rng.uniform(0, settings["damping"][name], n), 0.0)
+        armature[:, 5] = np.where(whole, rng.uniform(0, settings["yaw_inertia"], n), 0.0)
         # a damper about a moving frame is a damper about the world and a constant force
         speed = self.reference.speed * self._between(settings["speed"], n)
         self._drag = damping[:, 0] * speed
+        loose = ~held & (drawn < settings["share"] + settings["stops"]["share"])
+        if loose.any():
+            self.stops = Stops(np.flatnonzero(loose), speed[loose], settings["stops"], self.control_s)
 
     def reset(self, ids: np.ndarray, noise: float = 1.0, phase: np.ndarray | None = None) -> None:
         """Start simulations ``ids`` at a phase of the reference (random without one), with or without noise."""
@@ -240,6 +304,9 @@ class WalkEnv:
         qpos[:, 2] += 0.002
         self._qpos[ids], self._qvel[ids], self._warm[ids], self._push[ids] = qpos, qvel, 0.0, 0.0
         self._push[ids, 1, 0] = self._drag[ids]
+        self.impulse[ids] = 0.0
+        if self.stops is not None:
+            self.stops.reset(ids, qpos)
         self.lane_y[ids] = 0.0
         self._last[ids] = 0.0
         self.age[ids] = 0
@@ -268,9 +335,7 @@ class WalkEnv:
     def _schedule_pushes(self) -> None:
         self._push_next -= 1
         self._push_left -= 1
-        ended = self._push_left == 0
-        self._push[ended] = 0.0
-        self._push[ended, 1, 0] = self._drag[ended]
+        self.impulse[self._push_left == 0] = 0.0
         begin = np.flatnonzero(self._push_next <= 0)
         if len(begin):
             push = self.settings["push"]
@@ -278,14 +343,25 @@ class WalkEnv:
             seconds = self._between(push["lasts_s"], len(begin))
             if self.sustained:
                 long = self.rng.uniform(size=len(begin)) < push["sustained"]["share"]
-                share = min(1.0, push["sustained"]["force_n"] / max(push["force_n"], 1e-9))
-                force[long] *= share
+                # what a light person can lean against for seconds is less
+                lasting = push["sustained"]["force_n"] * self.who.mass_kg / 75
+                force[long] *= min(1.0, lasting / max(push["force_n"], 1e-9))
                 seconds = np.where(long, self._between(push["sustained"]["lasts_s"], len(begin)), seconds)
             lasts = np.maximum((seconds / self.control_s).round().astype(int), 1)
-            force[:, 0] += self._drag[begin]
-            self._push[begin, 1, :2] = force
+            self.impulse[begin] = force
             self._push_left[begin] = lasts
             self._push_next[begin] = lasts + self._pause(len(begin))
+
+    def _apply_forces(self) -> None:
+        """Write drag, pushes and stops into the simulations."""
+        on_pelvis = self._push[:, 1]
+        on_pelvis[:] = 0.0
+        on_pelvis[:, 0] = self._drag
+        on_pelvis[:, :2] += self.impulse
+        if self.stops is not None:
+            force = self.stops.force(self.root())
+            on_pelvis[self.stops.rows, :2] += force[:, :2]
+            on_pelvis[self.stops.rows, 5] += force[:, 2]
 
     def command(self, action: np.ndarray) -> np.ndarray:
         """Servo targets (nsim, 21) [rad] for actions (nsim, 13)."""
@@ -296,6 +372,7 @@ class WalkEnv:
         """Act for a control step; returns reward (nsim,) and whether each fell or left its lane (nsim,)."""
         if self.push_force:
             self._schedule_pushes()
+        self._apply_forces()
         self._ctrl[:] = self.command(action)
         self.batch.step(nstep=self.substeps)
         self.phase = np.mod(self.phase + self.control_s / self.reference.stride_s, 1.0)

@@ -217,9 +217,9 @@ def push_battery(
     for k in range(begin + lasts + after):
         if k == begin:
             before = alive.copy()
-            env._push[:, 1, 0], env._push[:, 1, 1] = force_n * np.cos(angle), force_n * np.sin(angle)
+            env.impulse[:] = force_n * np.column_stack([np.cos(angle), np.sin(angle)])
         if k == begin + lasts:
-            env._push[:] = 0.0
+            env.impulse[:] = 0.0
         env.step(act(env.observation()))
         alive &= ~env.fallen()
     standing = alive & (before if before is not None else True)

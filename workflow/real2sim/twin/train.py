@@ -62,6 +62,7 @@ class Trainer:
         self.learner = Learner.new(
             OBSERVATIONS, ACTIONS, self.options["ppo"], np.random.default_rng([seed, 1])
         )
+        self._mean_actor = [a.copy() for a in flat(self.learner.actor)]
         self.normaliser = Normaliser(np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS))
         self.iteration = 0
         self.steps = 0
@@ -76,9 +77,12 @@ class Trainer:
         self._lengths = [0.0] * 200
 
     def policy(self) -> Policy:
-        """The deterministic policy as it is now."""
+        """The deterministic policy as it is now: the mean of the last updates' weights.
+
+        Single updates walk back and forth about it: the floor force of one and the next differs by half a body weight.
+        """
         return Policy(
-            [(w.copy(), b.copy()) for w, b in self.learner.actor],
+            layers_of([a.copy() for a in self._mean_actor]),
             self.normaliser.mean.copy(),
             self.normaliser.variance.copy(),
             self.reference,
@@ -135,6 +139,10 @@ class Trainer:
             gae.ravel(),
             (gae + value).ravel(),
         )
+        # a plain mean at first, then one that forgets
+        share = 1 / min(self.iteration + 1, o["ppo"]["averaged_updates"])
+        for mean, now in zip(self._mean_actor, flat(learner.actor), strict=True):
+            mean += share * (now - mean)
         push = o["push"]
         if self.mean_episode_s > push["gate_s"]:
             env.push_force = min(env.push_force + push["ramp_n"], push["force_n"] * push["margin"])
@@ -204,6 +212,7 @@ class Trainer:
         state = {
             "key": key,
             "actor": flat(self.learner.actor),
+            "mean_actor": self._mean_actor,
             "critic": flat(self.learner.critic),
             "log_std": self.learner.log_std,
             "adam": [
@@ -217,6 +226,8 @@ class Trainer:
                 env._push_left.copy(),
                 env._push_next.copy(),
                 env.push_force,
+                env.impulse.copy(),
+                None if env.stops is None else env.stops.robot.copy(),
             ),
             "counters": (self.iteration, self.steps, self.passes, list(self._lengths)),
             "records": (self.evaluations, self.curve, self.best),
@@ -234,6 +245,7 @@ class Trainer:
             return False
         learner, env = self.learner, self.env
         learner.actor, learner.critic = layers_of(state["actor"]), layers_of(state["critic"])
+        self._mean_actor = state["mean_actor"]
         learner.log_std = state["log_std"]
         learner.__post_init__()
         for adam, (moments, steps, rate) in zip(
@@ -242,9 +254,11 @@ class Trainer:
             adam.moments, adam.steps, adam.rate = moments, steps, rate
         self.normaliser = Normaliser(*state["normaliser"])
         learner.rng.bit_generator.state, env.rng.bit_generator.state = state["random"]
-        batch_state, env.phase, env.age, env.lane_y, env._last, left, following, env.push_force = state["env"]
+        batch_state, env.phase, env.age, env.lane_y, env._last, *pushes, robot = state["env"]
         env.batch.state[:] = batch_state
-        env._push_left, env._push_next = left, following
+        env._push_left, env._push_next, env.push_force, env.impulse = pushes
+        if env.stops is not None:
+            env.stops.robot = robot
         self.iteration, self.steps, self.passes, self._lengths = state["counters"]
         self.evaluations, self.curve, self.best = state["records"]
         return True

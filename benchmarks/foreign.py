@@ -231,9 +231,20 @@ class OneAxisEvidence:
         ones = np.ones(6)
         self.scales = Scales(ones * _large(self._q), ones * _large(self._v), ones, ones, ones * system.mass)
 
-    def replay(self, effects: list[Placed], nsim: int) -> OneAxisReplay:
-        """A replay of this trial with effects."""
+    def replay(self, effects: list[Placed], nsim: int, *, coarse: bool = False) -> OneAxisReplay:
+        """A replay of this trial with effects; its step is that of the system, ``coarse`` or not."""
         return (MovedReplay if self._moved else OneAxisReplay)(self, effects, nsim)
+
+    def noise_through(
+        self,
+        effects: Sequence[Placed],
+        parameters: np.ndarray,
+        x: Sequence[np.ndarray],
+        draws: int,
+        seed: int,
+    ) -> np.ndarray:
+        """Chi-squared (draws,) that noise leaves: here it goes by no plant, whatever the effects."""
+        return np.full(draws, float(self.samples))
 
     @property
     def samples(self) -> int:

@@ -137,6 +137,7 @@ def test_held_pelvises_are_drawn_toward_a_slower_speed():
     assert np.all(damping[~whole, 1:6] == 0)
     assert np.all(damping[:, 0] <= settings["damping"]["along"])
     env.reset(np.arange(200))
+    env._apply_forces()
     toward = env._push[held, 1, 0] / damping[held, 0] / reference().speed
     low, high = settings["speed"]
     assert np.all((toward >= low) & (toward <= high))

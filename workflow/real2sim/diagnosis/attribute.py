@@ -386,7 +386,7 @@ def attribute(
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
         hypotheses += more
         hypotheses += _swapped(search, hypotheses, everything, settings)
-        grown = _grow(search, hypotheses, promising, sum(count), settings, progress)
+        grown = _grow(search, hypotheses, promising, settings, progress)
         hypotheses += grown
         if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
             hypotheses += _swapped(search, hypotheses, everything, settings)
@@ -576,7 +576,6 @@ def _grow(
     search: Search,
     found: Sequence[Hypothesis],
     promising: Sequence[Placed],
-    samples: int,
     settings: dict,
     progress: Callable[[str], None],
 ) -> list[Hypothesis]:
@@ -584,7 +583,7 @@ def _grow(
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     while len(best.effects) < settings["most_effects"]:
-        left = sum(best.chi2) - samples
+        left = sum(best.chi2) - sum(search.samples)
         if search.is_noise(best):
             break
         options = search.screen(best, _without(promising, best))[: settings["pair_refits"]]

@@ -13,6 +13,8 @@ from real2sim.identification import least_squares
 from real2sim.identification.parameters import Bounds
 
 BATCH = 16
+# A coordinate whose bounds are no further apart than this is held
+NO_RANGE = 1e-4
 
 
 @dataclass
@@ -115,7 +117,7 @@ def refit(
 
     ``keep``: see `least_squares.minimise`.
     """
-    free = np.flatnonzero(residuals.upper - residuals.lower > 1e-4)
+    free = np.flatnonzero(residuals.upper - residuals.lower > NO_RANGE)
     z, cost, _, _ = least_squares.minimise(
         residuals, start, free, iterations=iterations, ftol=ftol, keep=keep
     )

@@ -211,8 +211,7 @@ class Stops:
         force[:, 0] -= np.where(beyond[:, 0] != 0, self._damping * (along - speed), 0.0)
         # a stop only pushes back
         force[:, 0] = np.where(force[:, 0] * beyond[:, 0] < 0, force[:, 0], 0.0)
-        force[:, 0] = np.clip(force[:, 0], -self._cap, self._cap)
-        force[:, 1:] = np.clip(force[:, 1:], -self._cap, self._cap)
+        force = np.clip(force, -self._cap, self._cap)
         self.robot[:, 1:] += (-force[:, 1:] - self._spring * self.robot[:, 1:]) / self._damper * dt
         return force
 
@@ -302,8 +301,7 @@ class WalkEnv:
             qvel[:, :2] += noise * 0.06 * rng.standard_normal((n, 2))
             qvel[:, 3:6] += noise * 0.08 * rng.standard_normal((n, 3))
         qpos[:, 2] += 0.002
-        self._qpos[ids], self._qvel[ids], self._warm[ids], self._push[ids] = qpos, qvel, 0.0, 0.0
-        self._push[ids, 1, 0] = self._drag[ids]
+        self._qpos[ids], self._qvel[ids], self._warm[ids] = qpos, qvel, 0.0
         self.impulse[ids] = 0.0
         if self.stops is not None:
             self.stops.reset(ids, qpos)
@@ -356,8 +354,8 @@ class WalkEnv:
         """Write drag, pushes and stops into the simulations."""
         on_pelvis = self._push[:, 1]
         on_pelvis[:] = 0.0
-        on_pelvis[:, 0] = self._drag
-        on_pelvis[:, :2] += self.impulse
+        on_pelvis[:, :2] = self.impulse
+        on_pelvis[:, 0] += self._drag
         if self.stops is not None:
             force = self.stops.force(self.root())
             on_pelvis[self.stops.rows, :2] += force[:, :2]

@@ -126,7 +126,7 @@ def test_what_is_no_model_says_what_to_do_instead():
     for effect in EFFECTS:
         assert (kind(effect) == NATIVE) == (not effect.remedy)
         assert (kind(effect) == PLANNED) == isinstance(effect.plant, PlannedForce)
-        chains = (effect.input_chain, effect.output_chain, effect.sighting)
+        chains = (effect.input_chain, effect.output_chain, effect.sighting and effect.sighting.of_markers)
         assert (kind(effect) == CHAIN) == any(chains)
 
 

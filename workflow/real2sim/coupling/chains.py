@@ -6,7 +6,7 @@ the markers show. A `Sighting` sets the plant up otherwise. Planned forces are c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -24,8 +24,8 @@ class Context:
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
     (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the person stands;
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
-    ``coordinates`` and ``rates`` (n, 6) of the interface; ``neutral_rotation`` (3, 3) and ``neutral_position`` (3,) of
-    the pelvis in the neutral trial [m, world], where the rest pose was taken.
+    ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
+    ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken.
     """
 
     time_s: np.ndarray
@@ -61,10 +61,15 @@ class Sight:
 
 
 class Sighting(Protocol):
-    """An effect by which the interface's markers are not where it is."""
+    """An effect by which the interface is not where its markers are, or rests elsewhere than it was seen to.
 
-    def true(self, values: np.ndarray, seen: Sight, context: Context) -> Sight:
-        """What was the case, from what was seen, for values (p,)."""
+    ``of_markers`` says whether it is about what the markers show, and no part of a model of the plant.
+    """
+
+    of_markers: bool
+
+    def true(self, values: np.ndarray, seen: Sight, context: Context, axes: tuple[int, ...]) -> Sight:
+        """What was the case, from what was seen, for values (p,) of an effect on ``axes`` of the interface."""
 
     def seen(
         self, paths: np.ndarray, rotation: np.ndarray, values: np.ndarray, context: Context
@@ -75,7 +80,9 @@ class Sighting(Protocol):
 class TurnedLab:
     """The interface's markers are seen in a lab turned about the vertical, values (m, 1) [rad]."""
 
-    def true(self, values, seen, context):
+    of_markers = True
+
+    def true(self, values, seen, context, axes):
         """Turned back about the lab's origin, in the neutral trial as well."""
         back = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
         pelvis, origin = context.neutral_rotation, context.neutral_position
@@ -96,7 +103,9 @@ class TurnedLab:
 class OffCentre:
     """Markers that sit off the joint centres, fixed in the interface: values (m, 6) [m, interface], left and right."""
 
-    def true(self, values, seen, context):
+    of_markers = True
+
+    def true(self, values, seen, context, axes):
         """Pose from the centres; of the neutral trial's, from its mean pelvis."""
         pelvis, origin = context.neutral_rotation, context.neutral_position
         left, right = np.nanmean(context.measured[: context.start], axis=0)
@@ -117,6 +126,21 @@ class OffCentre:
     def seen(self, paths, rotation, values, context):
         """Joint centres and their offsets."""
         return paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3))
+
+
+class RestTurned:
+    """The strap rests turned about one of its axes against the neutral trial, value (m, 1) [rad]."""
+
+    of_markers = False
+
+    def true(self, values, seen, context, axes):
+        """Start as seen, rest pose turned about the pelvis' axis."""
+        turn = Rotation.from_rotvec(values[0] * np.eye(3)[axes[0] - 3]).as_matrix()
+        return replace(seen, rest_rotation=turn @ seen.rest_rotation)
+
+    def seen(self, paths, rotation, values, context):
+        """As they are."""
+        return paths
 
 
 def _from_centres(
@@ -239,9 +263,8 @@ def tilt(values, context, where, parameters):
 def reaction(values, context, where, parameters):
     """Forces (m, steps, 2) [N] on the base of gain, delay and smoothing (m, 3)."""
     # what the strap does to the interface, seen by a controller in the plane, answered late and with its bandwidth
-    force = -(
-        parameters[:, None, :3] * context.coordinates[:, :3] + parameters[:, None, 6:9] * context.rates[:, :3]
-    )
+    stiffness, damping = parameters[:, None, :3], parameters[:, None, 6:9]
+    force = -(stiffness * context.coordinates[..., :3] + damping * context.rates[..., :3])
     world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
     out = np.empty((len(values), len(context.step_time_s), 2))
     dt = context.step_time_s[1] - context.step_time_s[0]

@@ -429,11 +429,14 @@ class PlannedForce:
     """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
 
     ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm]; ``joints`` are
-    names, or None for the strap joint of the effect's axis.
+    names, or None for the strap joint of the effect's axis. ``rounds`` above 1 simulate and plan again: the context's
+    coordinates and rates are then the simulated ones (m, n, 6), which lack the noise of the measured ones.
     """
 
-    def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
-        self.force, self._joints = force, joints
+    def __init__(
+        self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None, rounds: int = 1
+    ):
+        self.force, self._joints, self.rounds = force, joints, rounds
 
     def columns(self, model: mujoco.MjModel, where: Where) -> np.ndarray:
         """Columns of the control that belong to the motors."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, Scales
-from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
 # Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
@@ -67,14 +67,24 @@ class EffectReplay(Replay):
         self.effects = tuple(effects)
         self._context, self._scales = context, scales
         self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
+        forces = [placed.effect.plant for placed in self.effects]
+        self._rounds = max((f.rounds for f in forces if isinstance(f, PlannedForce)), default=1)
         super().__init__(**replay)
         first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
         self._robot_columns = slice(first, first + 6)
+        if self._rounds > 1:
+            first = self.model.sensor(f"{STRAP_JOINTS[0]}_{mujoco.mjtSensor.mjSENS_JOINTPOS.name}").adr[0]
+            self._strap_columns = slice(first, first + 12)
         self._robot_joints = np.array([self.model.joint(name).id for name in ROBOT_JOINTS])
-        self._sightings = [i for i, placed in enumerate(self.effects) if placed.effect.sighting]
+        # several turns of the rest pose make R_x R_y R_z, as the interface's coordinates do: z is applied first
+        self._sightings = sorted(
+            (i for i, placed in enumerate(self.effects) if placed.effect.sighting),
+            key=lambda i: [-axis for axis in self.effects[i].where.axes],
+        )
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
+        self._moved: np.ndarray | None = None
         self._parameters = np.empty((0, 12))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
@@ -94,6 +104,12 @@ class EffectReplay(Replay):
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=name,
             )
+        if self._rounds > 1:
+            for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+                for name in STRAP_JOINTS:
+                    spec.add_sensor(
+                        name=f"{name}_{kind.name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name
+                    )
         if any(placed.effect.sighting for placed in self.effects):
             spec.add_sensor(
                 name="interface_rotation",
@@ -165,8 +181,11 @@ class EffectReplay(Replay):
             for i in self._sightings:
                 sighting = self.effects[i].effect.sighting
                 assert sighting is not None
-                sight = sighting.true(self._values[i][k], sight, self._context)
+                sight = sighting.true(self._values[i][k], sight, self._context, self.effects[i].where.axes)
             rest = RestPose(sight.rest_rotation, sight.rest_position)
+            if sight.rotation is seen.rotation and sight.position is seen.position:
+                self._sights.append(replace(seen, rest=rest))
+                continue
             try:
                 joints = robot_pose_for(self._twin, sight.rotation, sight.position)
             except (ValueError, np.linalg.LinAlgError):
@@ -202,7 +221,11 @@ class EffectReplay(Replay):
         self._values, self._parameters = values, parameters
         if self._sightings:
             self._see(m)
+        self._moved = None
         sensors = self._simulate(parameters)
+        for _ in range(self._rounds - 1):
+            self._moved = sensors[:, :: self.stride, self._strap_columns].copy()
+            sensors = self._simulate(parameters)
         paths = self._samples(sensors)
         start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
         joints = sensors[:, :: self.stride, self._robot_columns] - start
@@ -265,7 +288,10 @@ class EffectReplay(Replay):
             self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
         else:
             assert isinstance(placed.effect.plant, PlannedForce)
-            force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
+            context = self._context
+            if placed.effect.plant.rounds > 1 and self._moved is not None:
+                context = replace(context, coordinates=self._moved[:m, :, :6], rates=self._moved[:m, :, 6:])
+            force = placed.effect.plant.force(values, context, placed.where, self._parameters[:m])
             self._control[:m, :, self._columns_of[i]] += force
 
 

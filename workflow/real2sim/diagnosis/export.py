@@ -74,7 +74,7 @@ def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[
 
 def kind(effect: Effect) -> str:
     """Whether an effect is part of a model, a force that is planned for it, or about what goes in and comes out."""
-    if effect.input_chain or effect.output_chain or effect.sighting:
+    if effect.input_chain or effect.output_chain or (effect.sighting and effect.sighting.of_markers):
         return CHAIN
     return PLANNED if isinstance(effect.plant, PlannedForce) else NATIVE
 

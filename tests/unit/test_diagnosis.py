@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from real2sim.coupling import chains
@@ -170,7 +171,8 @@ def test_effect_changes_the_simulation_and_nothing_does_not(effect, plain):
     if effect.name not in quiet:
         assert np.abs(acting[0] - plain[0]).max() > 1e-5
     if effect.name in NEUTRAL:
-        x = np.array([NEUTRAL[effect.name]])
+        x = placed.starts()[:1].copy()
+        x[:, : len(NEUTRAL[effect.name])] = NEUTRAL[effect.name]
         nothing, _ = model.run_effects(PRIOR[None], [x])
         # dry friction is a constraint and never quite absent
         tolerance = 1e-6 if effect.name == "coulomb" else 1e-9
@@ -351,6 +353,24 @@ def test_a_rest_pose_turned_by_little_is_a_spring_that_rests_elsewhere(plain):
     )
     assert np.abs(shifted - plain[0]).max() > 1e-5
     assert np.abs(turned - shifted).max() < 0.05 * np.abs(shifted - plain[0]).max()
+
+
+def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
+    effect = next(e for e in EFFECTS if e.form == "_quadratic")
+    placed = Placed(effect, effect.places()[0], SCALES)
+    model = replay([placed])
+    k, b, end = PRIOR[0], -4000.0, 0.02
+    x = np.array([[b * SCALES.q[0] / SCALES.k[0], np.log(end / SCALES.q[0])]])
+    np.testing.assert_allclose(placed.values(x), [[b, end]])
+    model.run_effects(PRIOR[None], [x])
+    plant = model.as_simulated().model
+    data = mujoco.MjData(plant)
+    joint = plant.joint("strap_tx")
+    for q in (-0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05):
+        data.qpos[joint.qposadr[0]] = q
+        mujoco.mj_forward(plant, data)
+        even = b * q**2 if abs(q) < end else b * end * (2 * abs(q) - end)
+        assert data.qfrc_spring[joint.dofadr[0]] == pytest.approx(-(k * q + even), abs=1e-9)
 
 
 def test_slack_leaves_the_strap_without_force_inside():
@@ -708,7 +728,8 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
 
 def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
     quadratic = next(e for e in EFFECTS if e.form == "_quadratic")
-    assert Placed(quadratic, quadratic.places()[0], SCALES).weaker(np.array([-0.4])) == pytest.approx([-0.1])
+    even = Placed(quadratic, quadratic.places()[0], SCALES)
+    assert even.weaker(np.array([-0.4, 0.5])) == pytest.approx([-0.1, 0.5])
     lugre = next(e for e in EFFECTS if e.name == "lugre")
     placed = Placed(lugre, lugre.places()[0], SCALES)
     start = placed.starts()[0]

@@ -24,6 +24,7 @@ from real2sim.coupling.mechanisms import (
     Coupling,
     DryFriction,
     Elastoplastic,
+    EvenSpring,
     InterfaceMass,
     Maxwell,
     Mechanism,
@@ -281,15 +282,16 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "asymmetric_stiffness",
         "interface",
-        "F = k q + b q^2",
+        "F = k q + b q^2, b q^2 along its tangent beyond a coordinate on either side",
         (
             EffectParameter(
                 "quadratic", "N/m2|Nm/rad2", -0.6, 0.6, (-0.2, 0.2), lambda s, i: float(s.k[i] / s.q[i])
             ),
+            EffectParameter("straight_beyond", "m|rad", 0.3, 4.0, (1.0,), _q, log=True),
         ),
         "asymmetric_stiffness",
         _LADDER,
-        plant=Polynomial("jnt_stiffnesspoly", 0),
+        plant=EvenSpring(),
         form="_quadratic",
     ),
     Effect(

@@ -99,7 +99,14 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
     "dof_armature": _per_joint(_of_dof("armature")),
     "dof_frictionloss": _per_joint(_of_dof("frictionloss")),
     **dict.fromkeys(
-        ("tendon_stiffness", "tendon_damping", "tendon_lengthspring", "tendon_springyield"), _tendons
+        (
+            "tendon_stiffness",
+            "tendon_stiffnesspoly",
+            "tendon_damping",
+            "tendon_lengthspring",
+            "tendon_springyield",
+        ),
+        _tendons,
     ),
     **dict.fromkeys(("body_mass", "body_inertia"), _bodies),
     **dict.fromkeys(("actuator_gainprm", "actuator_biasprm", "actuator_dynprm"), _actuators),

@@ -170,6 +170,27 @@ class Polynomial:
         fields[self._name][:, index, self._term] = values[:, 0]
 
 
+class EvenSpring:
+    """A quadratic term of the axis' spring, which goes straight on beyond a coordinate: values are both, (m, 2).
+
+    Without an end the strap would let go on one side, where nothing but the polynomial says so.
+    """
+
+    def build(self, spec, where):
+        """One fixed tendon over the strap joint."""
+        joint = {STRAP_JOINTS[where.axes[0]]: 1.0}
+        _tendon(spec, f"straight_{where.element}", joint, stiffness=[1, 1, 0], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """The joint's even term; beyond its dead band the tendon takes off what b q^2 has over its tangent."""
+        axis, index = where.axes[0], fields.tendon(f"straight_{where.element}")
+        quadratic, end = values.T
+        fields["jnt_stiffnesspoly"][:, fields.joint(axis), 0] = quadratic
+        fields["tendon_stiffness"][:, index] = 0
+        fields["tendon_stiffnesspoly"][:, index, 0] = -quadratic
+        fields["tendon_lengthspring"][:, index, 0], fields["tendon_lengthspring"][:, index, 1] = -end, end
+
+
 class Elastoplastic:
     """Springs in parallel that yield one after the other: values are yield force and yield travel, (m, 2).
 

@@ -355,6 +355,21 @@ def test_a_rest_pose_turned_by_little_is_a_spring_that_rests_elsewhere(plain):
     assert np.abs(turned - shifted).max() < 0.05 * np.abs(shifted - plain[0]).max()
 
 
+def test_a_reaction_is_planned_from_the_motion_that_it_makes():
+    effect = next(e for e in EFFECTS if e.name == "controller_reaction")
+    model = replay([Placed(effect, effect.places()[0], SCALES)], seconds=6)
+    values = np.array([[-0.5, 0.1, 0.02]])
+    model.run_effects(PRIOR[None], [values])
+    motion = model._record["sensordata"][:1, :: model.stride, model._strap_columns]
+    simulated = replace(model._context, coordinates=motion[..., :6], rates=motion[..., 6:])
+    applied = model.as_simulated().control[:, model._columns_of[0]]
+    asked = chains.reaction(values, simulated, None, PRIOR[None])[0]
+    first = chains.reaction(values, model._context, None, PRIOR[None])[0]
+    # the measured coordinates of this trial are those of an interface that stands still
+    assert np.linalg.norm(first - asked) > 0.5 * np.linalg.norm(asked)
+    assert np.linalg.norm(applied - asked) < 0.05 * np.linalg.norm(asked)
+
+
 def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
     effect = next(e for e in EFFECTS if e.form == "_quadratic")
     placed = Placed(effect, effect.places()[0], SCALES)

@@ -34,6 +34,11 @@ def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
     return [c for c in plain if c["cap"] == cap]
 
 
+def _robot(record: dict[str, Any]) -> str:
+    """How fast the robot goes in the conditions that are drawn."""
+    return f"robot at {_main_conditions(record)[0]['cap']:g} of the walking speed"
+
+
 def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
     """Draw a cloud's samples and its 95 % ellipse about the origin; returns the ellipse's reach [mm]."""
     if not cloud.get("trials"):
@@ -88,7 +93,7 @@ def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
                     style.say(axes, "no whole stride")
                 elif row == 0:
                     # above the curves, where there is room for it
-                    axes.set_ylim(top=axes.get_ylim()[1] + 9)
+                    axes.set_ylim(top=axes.get_ylim()[1] + 16)
                     axes.legend(
                         ncols=1 if axes is real else 2, columnspacing=0.8, loc="upper center", borderaxespad=0
                     )
@@ -109,11 +114,12 @@ def interface_figure(*, coupled: list[Path], out: list[Path]) -> None:
     records = _records(coupled)
     with matplotlib.rc_context(style.RC):
         figure = style.new_figure(3.6, phantom=any(r["phantom"] for r in records))
-        _clouds(figure.add_subplot(), records[0])
+        _clouds(figure.add_subplot(), records)
         style.save(figure, out)
 
 
-def _clouds(axes: Axes, record: dict[str, Any]) -> None:
+def _clouds(axes: Axes, records: list[dict[str, Any]]) -> None:
+    record = records[0]
     reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", dashed=True)]
     for condition in _main_conditions(record):
         reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[condition["name"]], condition["name"]))
@@ -122,7 +128,10 @@ def _clouds(axes: Axes, record: dict[str, Any]) -> None:
     axes.set_xlabel("forward (mm)")
     axes.set_ylabel("left (mm)")
     axes.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, title="95 % of the interface midpoint"
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=2,
+        title=f"95 % of the interface midpoint\n{_robot(record)}, first of {len(records)} seeds",
     )
 
 
@@ -150,6 +159,7 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
     axes.set_yticks(range(len(JOINT_NAMES)), list(JOINT_NAMES.values()))
     axes.invert_yaxis()
     axes.set_xlabel(
-        "change of range of motion by the robot (deg)\npoint: a seed of the simulation, line: measured"
+        "change of range of motion by the robot (deg)\n"
+        "point: a seed (curves: the first), line: measured\n" + _robot(records[0])
     )
     style.panel_letter(axes, "g")

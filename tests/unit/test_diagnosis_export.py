@@ -49,7 +49,7 @@ def in_plain_mujoco(file: Path, control: np.ndarray) -> np.ndarray:
     return out.reshape(-1, 2, 3)
 
 
-PLANT = [e for e in EFFECTS if e.plant is not None]
+PLANT = [e for e in EFFECTS if e.plant is not None or kind(e) == NATIVE]
 
 
 @pytest.mark.parametrize("effect", PLANT, ids=lambda e: f"{e.name}{e.form}")
@@ -76,6 +76,18 @@ def test_the_file_moves_as_the_model_in_process(effect, tmp_path):
     assert loaded.ntext == 1
     assert bytes(loaded.text_data).rstrip(b"\0").decode() == "the person's < & \" strap"
     assert "include" not in file.read_text()
+
+
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e.sighting], ids=lambda e: f"{e.name}{e.form}")
+def test_a_person_seen_elsewhere_starts_there_in_the_file(effect, tmp_path):
+    model, _ = acting([named(effect.name, effect.form)])
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    there = model.sites()
+    assert np.isfinite(there).all()
+    # what markers show beside the joint centres is no part of a model
+    np.testing.assert_allclose(in_plain_mujoco(file, simulated.control), there, rtol=0, atol=1e-6)
 
 
 def test_several_effects_at_half_the_step_survive_too(tmp_path):

@@ -80,6 +80,16 @@ def _bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         body.ipos, body.iquat = model.body_ipos[index], model.body_iquat[index]
 
 
+def _turns(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    for index in range(1, model.nbody):
+        spec.body(model.body(index).name).quat = model.body_quat[index]
+
+
+def _sites(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    for index in range(model.nsite):
+        spec.site(model.site(index).name).pos = model.site_pos[index]
+
+
 def _actuators(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for index in range(model.nu):
         actuator = spec.actuator(model.actuator(index).name)
@@ -108,7 +118,9 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
         ),
         _tendons,
     ),
-    **dict.fromkeys(("body_mass", "body_inertia"), _bodies),
+    **dict.fromkeys(("body_mass", "body_inertia", "body_ipos"), _bodies),
+    "body_quat": _turns,
+    "site_pos": _sites,
     **dict.fromkeys(("actuator_gainprm", "actuator_biasprm", "actuator_dynprm"), _actuators),
 }
 # What the compiler makes of other fields, at the reference pose: it is made again when the text is loaded
@@ -120,6 +132,7 @@ _DERIVED = (
     "dof_length",
     "tendon_invweight0",
     "actuator_acc0",
+    "actuator_length0",
     "stat",
 )
 

@@ -183,6 +183,7 @@ class EffectReplay(Replay):
                 assert sighting is not None
                 sight = sighting.true(self._values[i][k], sight, self._context, self.effects[i].where.axes)
             rest = RestPose(sight.rest_rotation, sight.rest_position)
+            # only the strap rests elsewhere: the robot stands where it was seen
             if sight.rotation is seen.rotation and sight.position is seen.position:
                 self._sights.append(replace(seen, rest=rest))
                 continue

@@ -33,7 +33,9 @@ SCALES = (
     "per_parameter",
     "second_effect",
     "second_effect_share",
+    "isolated",
     "none_gain",
+    "none_temperature",
     "unknown_unexplained",
     "unknown_excess",
 )

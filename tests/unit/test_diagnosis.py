@@ -18,9 +18,12 @@ from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.attribute import (
     FAILED,
+    OUT_OF_REACH,
+    QUIET_REFITS,
     Pair,
     Screened,
     Search,
+    _alone,
     _best_of_each,
     _first_of_each,
     _fresh_starts,
@@ -710,6 +713,117 @@ def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
     assert all(h is not found[1] for h in more), "judged by the old jumps"
     search.mark_spikes = lambda best: False
     assert _without_spikes(search, plain, found, list(places.values())) is found
+
+
+def test_what_stood_for_jumps_is_left_out_beside_them():
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    slack, tilt = places["slack"], places["tilt"]
+    plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
+    found = [
+        Hypothesis((slack, tilt), np.zeros(15), (3800.0, 3900.0)),
+        Hypothesis((slack,), np.zeros(13), (4000.0, 4000.0)),
+        Hypothesis((tilt,), np.zeros(14), (8000.0, 8000.0)),
+    ]
+    search = _Stuck()
+    search.fit = lambda effects, start: Hypothesis(tuple(effects), start, (2900.0, 2900.0))
+    search.mark_spikes = lambda best: best is found[0]
+    more = _without_spikes(search, plain, found, list(places.values()))
+    tried = {h.names for h in more} - {h.names for h in found}
+    assert tried == {("slack", "tilt", "outliers"), ("slack", "outliers"), ("outliers",)}
+
+
+class _Counting(_Stuck):
+    """A search that notes what it refits; `excess` of the plain fit is given."""
+
+    def __init__(self, plain_excess: float):
+        super().__init__()
+        self.plain_excess, self.refitted = plain_excess, []
+
+    def excess(self, hypothesis):
+        return self.plain_excess
+
+    def fit_screened(self, screened):
+        self.refitted.append(screened.effects[-1].effect.name)
+        left = 2880.0 if screened.effects[-1].effect.name == "coulomb" else 80_000.0
+        return Hypothesis(screened.effects, screened.start, (left, left))
+
+
+def _promise(placed: Placed, predicted: float) -> Screened:
+    start = np.concatenate([np.zeros(12), placed.starts()[0]])
+    return Screened((placed,), predicted, start, np.zeros(1), np.zeros((1, 1)), start)
+
+
+def test_where_there_is_no_gap_a_few_refits_are_enough():
+    settings = CONFIG["diagnosis"]["search"]
+    plain = Hypothesis((), np.zeros(12), (2800.0, 2800.0))
+    shortlist = [_promise(Placed(e, e.places()[0], SCALES), 2700.0) for e in EFFECTS[:9]]
+    quiet, loud = _Counting(-1.0), _Counting(1.5)
+    assert len(_alone(quiet, shortlist, plain, settings)) == QUIET_REFITS
+    assert len(_alone(loud, shortlist, plain, settings)) == len(shortlist)
+
+
+def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
+    settings = CONFIG["diagnosis"]["search"]
+    plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    first = ["coulomb", "tilt", "slack", "stiffening", "added_mass"]
+    assert len(first) == settings["pair_rivals"]
+    search = _Counting(100.0)
+    far = [_promise(places[name], 2880 + OUT_OF_REACH + 100) for name in ("preload", "lugre")]
+    near = [_promise(places["sync_offset"], 3500.0)]
+    _alone(search, [*(_promise(places[name], 2000.0) for name in first), *far, *near], plain, settings)
+    assert search.refitted == [*first, "lugre", "sync_offset"]
+
+
+def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():
+    settings = CONFIG["diagnosis"]["search"]
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    asked = []
+
+    class Beside(_Counting):
+        def afresh(self, effects, base, fitted):
+            asked.append((effects[-1].effect.name, base[0]))
+            return Hypothesis(effects, fitted.z, (2850.0, 2850.0))
+
+    strap = np.full(12, 3.0)
+    coulomb = _promise(places["coulomb"], 2000.0)
+    coulomb.start[:12] = strap
+    shortlist = [coulomb, _promise(places["lugre"], 2100.0), _promise(places["tilt"], 2100.0)]
+    plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
+    found = _alone(Beside(100.0), shortlist, plain, settings)
+    assert asked == [("lugre", 3.0)]
+    assert found[0].names == ("lugre",)
+
+
+def test_near_the_price_of_a_cause_none_is_not_certain():
+    sets = [Candidate(("creep",), 2, (1000.0, 1000.0))]
+
+    def none(gain: float) -> float:
+        plain = Candidate((), 0, (1000.0, 1000.0 + gain))
+        return decide(plain, sets, (1000, 1000), CALIBRATION).probabilities["none"]
+
+    price = CALIBRATION["none_gain"] + 2 * CALIBRATION["per_parameter"]
+    assert none(price) == pytest.approx(0.5, abs=0.02)
+    assert 0.6 < none(price - 100) < 0.95
+    assert none(20.0) > 0.99
+    assert none(2 * price) < 0.01
+
+
+def test_jumps_need_no_more_than_their_own_price():
+    plain = Candidate((), 0, (2880.0, 3080.0))
+    sets = [Candidate(("outliers",), 0, (2880.0, 2830.0)), Candidate(("creep",), 2, (2880.0, 2830.0))]
+    decision = decide(plain, sets, (2880, 2880), CALIBRATION)
+    assert decision.verdict == "outliers"
+
+
+def test_an_effect_of_many_forms_has_no_better_chance():
+    plain = Candidate((), 0, (90_000.0, 90_000.0))
+    sync = Candidate(("sync_offset",), 1, (2372.0, 2316.0))
+    filters = [Candidate(("filter_lag",), 1, (2372.0, 2317.0 + i)) for i in range(3)]
+    decision = decide(plain, [*filters, sync], (2880, 2880), CALIBRATION)
+    assert decision.verdict == "sync_offset"
+    one = decide(plain, [filters[0], sync], (2880, 2880), CALIBRATION)
+    assert decision.probabilities["filter_lag"] == pytest.approx(one.probabilities["filter_lag"], rel=1e-6)
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):

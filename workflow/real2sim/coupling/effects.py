@@ -619,7 +619,8 @@ EFFECTS: tuple[Effect, ...] = (
             "filter_lag",
             "output",
             f"y low-passed by a causal filter of {name} order",
-            (EffectParameter("cutoff", "Hz", 0.5, 20.0, (6.0,), log=True),),
+            # above, it is a delay by another name to what a person does
+            (EffectParameter("cutoff", "Hz", 0.5, 10.0, (6.0,), log=True),),
             "T",
             "fast content near the filter's cut-off",
             scope="whole",
@@ -630,7 +631,11 @@ EFFECTS: tuple[Effect, ...] = (
                 " cut-off, or export the markers without the filter"
             ),
         )
-        for order, name, form in ((2, "second", ""), (4, "fourth", "fourth_order"))
+        for order, name, form in (
+            (1, "first", "first_order"),
+            (2, "second", ""),
+            (4, "fourth", "fourth_order"),
+        )
     ),
     Effect(
         "marker_offset",

@@ -26,6 +26,11 @@ T = TypeVar("T")
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+# A plain fit that leaves no more than this beyond noise (SD) has no gap that a cause could earn its place with; so many
+# refits then say what is next best
+QUIET_SIGMA, QUIET_REFITS = 1.0, 4
+# Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
+OUT_OF_REACH = 2000.0
 # Starts tried, weaker and weaker, where MuJoCo gives up
 WEAKENINGS = 3
 # Strengths beyond an effect's own starts that are tried by their cost alone
@@ -378,8 +383,7 @@ def attribute(
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
-    hypotheses = [_single(search, s, plain) for s in _shortlist(singles, settings)]
-    hypotheses.sort(key=lambda h: sum(h.chi2))
+    hypotheses = _alone(search, _shortlist(singles, settings), plain, settings)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
@@ -398,17 +402,54 @@ def attribute(
 def _without_spikes(
     search: Search, plain: Hypothesis, found: list[Hypothesis], everything: Sequence[Placed]
 ) -> list[Hypothesis]:
-    """The hypotheses, with `outliers` judged by the jumps in what the best of them leaves, alone and beside it."""
+    """The hypotheses, with `outliers` judged by the jumps in what the best of them leaves, alone and beside others."""
     outliers = [placed for placed in everything if placed.effect.name == "outliers"]
     best = min([plain, *found], key=lambda h: sum(h.chi2))
     if not outliers or not search.mark_spikes(best):
         return found
     kept = [h for h in found if "outliers" not in h.names]
-    effects = tuple(placed for placed in best.effects if placed.effect.name != "outliers")
-    more = [search.fit((*effects, *outliers), best.z)]
-    if effects:
-        more.append(search.fit(outliers, plain.z))
+    # what was added for the sake of the jumps is not needed beside them: the best set of every size is tried
+    sized = _first_of_each(sorted(kept, key=lambda h: sum(h.chi2)), lambda h: str(len(h.effects)))
+    bases = [*(h for h in sized if len(h.effects) <= len(best.effects)), plain]
+    more = [search.fit((*h.effects, *outliers), h.z) for h in bases]
     return sorted([*kept, *more], key=lambda h: sum(h.chi2))
+
+
+def _alone(
+    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict
+) -> list[Hypothesis]:
+    """Refits of single effects, best first; those that cannot be the answer any more are left out.
+
+    Rivals of an effect that explains everything are tried whatever they promise: they are what it is mistaken for.
+    """
+    if search.excess(plain) < QUIET_SIGMA:
+        shortlist = shortlist[:QUIET_REFITS]
+    found: list[Hypothesis] = []
+    for screened in shortlist:
+        best = min(found, key=lambda h: sum(h.chi2), default=plain)
+        told = len(found) >= settings["pair_rivals"] and search.is_noise(best)
+        rival = any(_alike(placed, screened.effects[-1]) for placed in best.effects)
+        if told and not rival and screened.predicted > best.chi2[0] + OUT_OF_REACH:
+            continue
+        found.append(_single(search, screened, plain))
+    return _rivals_of_best(search, found)
+
+
+def _rivals_of_best(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Single effects, best first; where the best explains everything its rivals in its place start from its strap too.
+
+    What holds another as a special case (a law of friction with more constants) cannot be worse than it.
+    """
+    best = min(found, key=lambda h: sum(h.chi2))
+    if not search.is_noise(best):
+        return sorted(found, key=lambda h: sum(h.chi2))
+    again = [
+        search.afresh(h.effects, best.z[:12], h)
+        if h is not best and _rivals(best.effects[0], h.effects[0])
+        else h
+        for h in found
+    ]
+    return sorted(again, key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
@@ -542,8 +583,12 @@ def _swapped(
 
 def _rivals(one: Placed, other: Placed) -> bool:
     """Whether another place is on the same axis, or on all, and of an effect that is mistaken for this one."""
-    alike = any(one.effect.name in names and other.effect.name in names for names in RIVALS)
-    return alike and other.where.axes in (one.where.axes, ())
+    return _alike(one, other) and other.where.axes in (one.where.axes, ())
+
+
+def _alike(one: Placed, other: Placed) -> bool:
+    """Whether one effect is mistaken for the other."""
+    return any(one.effect.name in names and other.effect.name in names for names in RIVALS)
 
 
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -17,8 +17,8 @@ import numpy as np
 from real2sim.diagnosis.attribute import Pair
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 
-# Step of the ln-parameters for derivatives of what noise does
-_STEP_LN = 0.05
+# Step of the ln-parameters for derivatives of what noise does: the same draws on either side, so a small one is exact
+_STEP_LN = 1e-3
 # Share of what the residuals tell about a direction that is left to it at least, however much of it noise may tell
 _LEAST_SHARE = 0.02
 # Longest correction of an ln-parameter in one iteration, and the correction in SD at which it ends
@@ -37,7 +37,7 @@ def noise_terms(
     for i in range(12):
         step = np.zeros(12)
         step[i] = _STEP_LN
-        slopes.append((residuals(z + step) - residuals(z - step)) / (2 * _STEP_LN))
+        slopes.append((residuals(z + step) - here) / _STEP_LN)
     tangent = np.array(slopes)
     slope = np.einsum("idr,dr->i", tangent, here) / len(here)
     normal = np.einsum("idr,jdr->ij", tangent, tangent, optimize=True) / len(here)

@@ -77,15 +77,25 @@ def logits(
     # a further effect must earn something in itself and, lest it mend the form of another, beside the gap
     gap = c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
 
+    def laws(candidate: Candidate) -> int:
+        return sum(name not in ISOLATED for name in candidate.names)
+
     def score(candidate: Candidate) -> float:
-        laws = [name for name in candidate.names if name not in ISOLATED]
         price = c["per_parameter"] * candidate.parameters
-        price += c["second_effect"] * max(len(candidate.names) - 1, 0) + gap * max(len(laws) - 1, 0)
+        price += c["isolated"] * (len(candidate.names) - laws(candidate))
+        price += (c["second_effect"] + gap) * max(laws(candidate) - 1, 0)
         return -(_left(candidate, c) + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
-    rows = [score(x) - best for x in candidates]
-    rows.append(score(plain) - best + c["none_gain"] / temperature + c["none"])
+    # an effect has no better chance for having many forms and places: its best one counts, the others share with it
+    rows = _shared([score(x) - best for x in candidates], [frozenset(x.names) for x in candidates])
+    # what holds no law has none to earn, and near that price it is less certain than between what two laws leave
+    none = (temperature * (score(plain) - best) + c["none_gain"]) / max(c["none_temperature"], temperature)
+    none += c["none"]
+    rows = [
+        row if laws(x) else none + score(x) - score(plain) for row, x in zip(rows, candidates, strict=True)
+    ]
+    rows.append(none)
     unexplained = np.log(max(f["unexplained"], 1e-4))
     rows.append(
         c["unknown"]
@@ -93,6 +103,16 @@ def logits(
         + c["unknown_excess"] * np.log1p(max(f["excess_sd"], 0))
     )
     return np.array(rows)
+
+
+def _shared(rows: Sequence[float], names: Sequence[frozenset[str]]) -> list[float]:
+    """Log-probabilities with those of the same names lowered until together they weigh as much as their best."""
+    values = np.array(rows)
+    for name in set(names):
+        same = [i for i, other in enumerate(names) if other == name]
+        most = values[same].max()
+        values[same] -= np.log(np.sum(np.exp(values[same] - most)))
+    return list(values)
 
 
 def decide(
@@ -119,8 +139,11 @@ def decide(
     probabilities[UNKNOWN] += float(p[-1])
     sets = p[: len(candidates)]
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
+    together = [sets[[x.names == other.names for x in candidates]].sum() for other in candidates]
     named = np.where(makeshift, -1.0, sets)
-    chosen = int(np.argmax(named)) if not makeshift.all() else None
+    # the likeliest effects, and of their sets the likeliest
+    likeliest = np.where(makeshift, -1.0, together)
+    chosen = int(np.lexsort((named, likeliest))[-1]) if not makeshift.all() else None
     if chosen is None or max(probabilities[NONE], probabilities[UNKNOWN]) >= effects:
         verdict = NONE if probabilities[NONE] >= probabilities[UNKNOWN] else UNKNOWN
         return Decision(probabilities, sets, verdict, (verdict,), None)

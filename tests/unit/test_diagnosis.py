@@ -20,6 +20,7 @@ from real2sim.diagnosis.attribute import (
     FAILED,
     OUT_OF_REACH,
     QUIET_REFITS,
+    Attribution,
     Pair,
     Screened,
     Search,
@@ -38,7 +39,7 @@ from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_tri
 from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
-from real2sim.diagnosis.stage import PLANT_SD_LN, strap_verdicts
+from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
 from real2sim.geometry import interface_frame
 from real2sim.identification.least_squares import STEP
 from real2sim.identification.parameters import Bounds
@@ -824,6 +825,44 @@ def test_an_effect_of_many_forms_has_no_better_chance():
     assert decision.verdict == "sync_offset"
     one = decide(plain, [filters[0], sync], (2880, 2880), CALIBRATION)
     assert decision.probabilities["filter_lag"] == pytest.approx(one.probabilities["filter_lag"], rel=1e-6)
+
+
+def test_the_same_effects_in_another_order_are_one_answer_and_a_makeshift_is_another():
+    plain = Candidate((), 0, (90_000.0, 90_000.0))
+    pair = [
+        Candidate(("slack", "tilt"), 3, (2880.0, 2885.0)),
+        Candidate(("tilt", "slack"), 3, (2880.0, 2886.0)),
+    ]
+    rival = Candidate(("slack", "preload"), 3, (2880.0, 2885.5))
+    alone = decide(plain, [pair[0], rival], (2880, 2880), CALIBRATION)
+    decision = decide(plain, [*pair, rival], (2880, 2880), CALIBRATION)
+    assert decision.sets[:2].sum() == pytest.approx(alone.sets[0], rel=1e-9)
+    assert decision.chosen == 0
+    assert decision.sets[2] > decision.sets[0]
+    spectrum = Candidate(("relaxation", "creep"), 4, (2880.0, 2880.0), makeshift=True)
+    elsewhere = Candidate(("relaxation", "creep"), 4, (2880.0, 2880.0))
+    other = Candidate(("slack", "preload"), 4, (2880.0, 2880.0))
+    three = decide(plain, [spectrum, elsewhere, other], (2880, 2880), CALIBRATION)
+    assert three.probabilities[UNKNOWN] == pytest.approx(1 / 3, abs=0.01)
+
+
+def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
+    """Its form is not the likeliest of all sets: two forms of its effect share."""
+    places = {(e.name, e.form): Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    left = {("sync_offset", ""): 2883.0, ("filter_lag", ""): 2880.0, ("filter_lag", "first_order"): 2880.5}
+    found = [Hypothesis((places[key],), np.zeros(13), (2880.0, chi2)) for key, chi2 in left.items()]
+    attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880))
+    refitted = []
+
+    def finish(pair, hypothesis, settings):
+        refitted.append(hypothesis.key)
+        return hypothesis
+
+    monkeypatch.setattr("real2sim.diagnosis.stage.finished", finish)
+    decision = _decided(None, attribution, CONFIG["diagnosis"])
+    assert decision.verdict == "filter_lag"
+    assert int(np.argmax(decision.sets)) == 0
+    assert refitted == ["filter_lag"]
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):

@@ -432,24 +432,23 @@ def _alone(
         if told and not rival and screened.predicted > best.chi2[0] + OUT_OF_REACH:
             continue
         found.append(_single(search, screened, plain))
-    return _rivals_of_best(search, found)
+    return sorted(_beside_best(search, found), key=lambda h: sum(h.chi2))
 
 
-def _rivals_of_best(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Single effects, best first; where the best explains everything its rivals in its place start from its strap too.
+def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
+    """Single effects; where the best explains everything, its rivals in its place start from its strap too.
 
     What holds another as a special case (a law of friction with more constants) cannot be worse than it.
     """
     best = min(found, key=lambda h: sum(h.chi2))
     if not search.is_noise(best):
-        return sorted(found, key=lambda h: sum(h.chi2))
-    again = [
+        return found
+    return [
         search.afresh(h.effects, best.z[:12], h)
         if h is not best and _rivals(best.effects[0], h.effects[0])
         else h
         for h in found
     ]
-    return sorted(again, key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:

@@ -9,7 +9,7 @@ that nothing in the catalogue explains. The few constants are fitted on developm
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,11 @@ class Candidate:
     parameters: int
     chi2: tuple[float, float]
     makeshift: bool = False
+
+    @property
+    def answer(self) -> tuple[frozenset[str], bool]:
+        """What it says of the cause: the same for every order, form and place of its effects."""
+        return frozenset(self.names), self.makeshift
 
 
 @dataclass(frozen=True)
@@ -88,8 +93,9 @@ def logits(
 
     best = max([score(x) for x in candidates] + [score(plain)])
     # an effect has no better chance for having many forms and places: its best one counts, the others share with it
-    rows = _shared([score(x) - best for x in candidates], [frozenset(x.names) for x in candidates])
-    # what holds no law has none to earn, and near that price it is less certain than between what two laws leave
+    rows = _shared([score(x) - best for x in candidates], [x.answer for x in candidates])
+    # a first law has to earn its price, and near that price less is certain than between what two laws leave; jumps
+    # are no law and stand beside none at their own price
     none = (temperature * (score(plain) - best) + c["none_gain"]) / max(c["none_temperature"], temperature)
     none += c["none"]
     rows = [
@@ -105,11 +111,11 @@ def logits(
     return np.array(rows)
 
 
-def _shared(rows: Sequence[float], names: Sequence[frozenset[str]]) -> list[float]:
-    """Log-probabilities with those of the same names lowered until together they weigh as much as their best."""
+def _shared(rows: Sequence[float], answers: Sequence[Hashable]) -> list[float]:
+    """Log-probabilities with those of the same answer lowered until together they weigh as much as their best."""
     values = np.array(rows)
-    for name in set(names):
-        same = [i for i, other in enumerate(names) if other == name]
+    for answer in set(answers):
+        same = [i for i, other in enumerate(answers) if other == answer]
         most = values[same].max()
         values[same] -= np.log(np.sum(np.exp(values[same] - most)))
     return list(values)
@@ -139,7 +145,7 @@ def decide(
     probabilities[UNKNOWN] += float(p[-1])
     sets = p[: len(candidates)]
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
-    together = [sets[[x.names == other.names for x in candidates]].sum() for other in candidates]
+    together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     named = np.where(makeshift, -1.0, sets)
     # the likeliest effects, and of their sets the likeliest
     likeliest = np.where(makeshift, -1.0, together)

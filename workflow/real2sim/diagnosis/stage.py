@@ -167,7 +167,9 @@ def _decided(pair: Pair, attribution: Attribution, options: dict) -> Decision:
     while True:
         plain, sets = candidates_of(attribution)
         decision = decide(plain, sets, attribution.samples, options["calibration"])
-        likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
+        likeliest = decision.chosen
+        if likeliest is None:
+            likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
         known = decision.verdict == NONE or likeliest in converged | {-1}
         if known or len(converged) == options["search"]["final_refits"]:
             return decision

@@ -71,6 +71,8 @@ NEUTRAL = {
     "quadratic_damping": [0.0],
     "added_mass": [0.0, 0.0],
     "base_compliance": [0.0] * 6,
+    "base_compliance series": [-40.0] * 3,
+    "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
@@ -174,9 +176,10 @@ def test_effect_changes_the_simulation_and_nothing_does_not(effect, plain):
     quiet = {"outliers", "marker_offset", "marker_drift", "soft_tissue", "misalignment"}
     if effect.name not in quiet:
         assert np.abs(acting[0] - plain[0]).max() > 1e-5
-    if effect.name in NEUTRAL:
+    neutral = NEUTRAL.get(f"{effect.name} {effect.form}", NEUTRAL.get(effect.name))
+    if neutral is not None:
         x = placed.starts()[:1].copy()
-        x[:, : len(NEUTRAL[effect.name])] = NEUTRAL[effect.name]
+        x[:, : len(neutral)] = neutral
         nothing, _ = model.run_effects(PRIOR[None], [x])
         # dry friction is a constraint and never quite absent
         tolerance = 1e-6 if effect.name == "coulomb" else 1e-9
@@ -192,6 +195,32 @@ def test_dry_friction_holds_without_creeping():
     ]
     # where constraints do not know of the dampers' inertia, a coarse step creeps by centimetres
     assert np.abs(paths[0] - paths[1]).max() < 2e-4
+
+
+def test_a_base_that_relaxes_slowly_is_a_stiffer_one():
+    slow, stiff = (
+        Placed(effect, effect.places()[0], SCALES) for effect in EFFECTS if effect.name == "base_compliance"
+    )
+    if slow.effect.form != "series":
+        slow, stiff = stiff, slow
+    share = np.array([0.5, 0.2, 0.8])
+    factors = np.stack([np.log1p(share), np.zeros(3)], axis=1).reshape(1, 6)
+    one = replay([slow]).run_effects(PRIOR[None], [np.array([[*np.log(share), np.log(1e4)]])])
+    other = replay([stiff]).run_effects(PRIOR[None], [factors])
+    np.testing.assert_allclose(one[1], other[1], atol=2e-5)
+
+
+def test_a_strap_that_wanders_pulls_by_its_way_from_the_first_motion_on():
+    effect = next(e for e in EFFECTS if e.name == "migration" and e.form == "_steady")
+    placed = Placed(effect, effect.places()[1], SCALES)
+    model = replay([placed])
+    rate = placed.values(placed.bounds()[1][None])
+    force = effect.plant.force(rate, model._context, placed.where, PRIOR[None])[0, :, 0]
+    moves = model._context.time_s[model._context.start]
+    since = np.maximum(model._context.step_time_s - moves, 0)
+    np.testing.assert_allclose(force, PRIOR[1] * rate[0, 0] * since, rtol=1e-12)
+    assert force[0] == 0
+    assert force[-1] != 0
 
 
 def test_a_second_call_does_not_remember_the_first(plain):

@@ -288,3 +288,10 @@ def ratchet(values, context, where, parameters):
         slipped[:, i] = slipped[:, i - 1] + beyond * (1 - np.exp(-rate * dt))
     force = where.side * parameters[:, axis, None] * slipped
     return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
+
+
+def wandering(values, context, where, parameters):
+    """Forces (m, steps, 1) [N, Nm] on the strap joint of rates (m, 1) [m/s, rad/s]."""
+    # the rest pose wanders at one rate from where the person starts to move
+    since = np.maximum(context.step_time_s - context.time_s[context.start], 0.0)
+    return parameters[:, where.axes[0], None, None] * values[:, None, :] * since[:, None]

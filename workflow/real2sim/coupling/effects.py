@@ -33,6 +33,7 @@ from real2sim.coupling.mechanisms import (
     Polynomial,
     RestShift,
     RobotImpedance,
+    RobotRelaxation,
     Scales,
     SplitSpring,
     Stop,
@@ -225,7 +226,8 @@ _STAND = "quiet standing at three headings before and after"
 _SINGLE = "motions along one axis at a time"
 _MASS = "the same motion with a plate of known mass on the interface"
 
-_FRICTION = EffectParameter("force", "N|Nm", 0.002, 5.0, (0.05, 0.3), _force, log=True)
+# An axis that hardly slips is fitted as a stiff one, and friction beyond its force in the plain fit holds it
+_FRICTION = EffectParameter("force", "N|Nm", 0.002, 15.0, (0.05, 0.3), _force, log=True)
 
 EFFECTS: tuple[Effect, ...] = (
     Effect(
@@ -405,6 +407,17 @@ EFFECTS: tuple[Effect, ...] = (
         ),
     ),
     Effect(
+        "migration",
+        "interface",
+        "F = k (q - c t): the rest pose wanders at one rate from where the person starts to move",
+        (EffectParameter("rate", "m/s|rad/s", -0.3, 0.3, (-0.03, 0.03), _q),),
+        "Dft",
+        _STAND,
+        plant=PlannedForce(chains.wandering),
+        form="_steady",
+        remedy="Add a force k rate t to the strap joint, k its stiffness, t from where the person starts to move",
+    ),
+    Effect(
         "cross_coupling",
         "interface",
         "F_i = K_ij q_j, F_j = K_ij q_i",
@@ -508,6 +521,23 @@ EFFECTS: tuple[Effect, ...] = (
         "the robot's own log, brakes on against brakes off",
         scope="whole",
         plant=RobotImpedance(ROBOT_JOINTS[:3]),
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "the base yields behind its servo: springs and dampers in series beside the configured impedance",
+        (
+            *(
+                EffectParameter(f"ln_series_stiffness_{axis}", "1", -5.0, 4.0, (-1.0,), prior_sd=2.0)
+                for axis in ("x", "y", "yaw")
+            ),
+            EffectParameter("time_constant", "s", 0.03, 5.0, (0.3,), log=True),
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=RobotRelaxation(ROBOT_JOINTS[:3]),
+        form="series",
     ),
     Effect(
         "controller_reaction",

@@ -224,11 +224,14 @@ class Elastoplastic:
         """Force (m, n) of the springs along a coordinate (n,) that they rest at the origin of."""
         slips = self.travels * values[:, 1:]
         stiffness = values[:, :1, None] / values[:, 1:, None] / self.travels.sum()
-        stretch = np.empty((len(values), len(q), len(self.travels)))
-        stretch[:, 0] = np.clip(q[0], -slips, slips)
-        for i, way in enumerate(np.diff(q)):
-            stretch[:, i + 1] = np.clip(stretch[:, i] + way, -slips, slips)
-        return np.asarray((stiffness * stretch).sum(axis=2))
+        stretch = np.empty((len(q), *slips.shape))
+        stretch[0] = np.clip(q[0], -slips, slips)
+        # np.clip costs several times what it does here
+        for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
+            np.add(last, way, out=now)
+            np.minimum(now, slips, out=now)
+            np.maximum(now, -slips, out=now)
+        return np.asarray((stiffness * np.moveaxis(stretch, 0, 1)).sum(axis=2))
 
 
 def _yielding_tendon(spec: mujoco.MjSpec, name: str, where: Where) -> None:
@@ -291,7 +294,7 @@ class Bristles:
 
 
 class Maxwell:
-    """Springs and dampers in series beside the axis' own: values are stiffness and shortest time constant, (m, 2).
+    """Springs and dampers in series beside a joint's own: values are stiffness and shortest time constant, (m, 2).
 
     ``branches`` of equal stiffness, which adds up to the value, have time constants that grow by ``ratio``: together
     they relax with the logarithm of time. The point between spring and damper of each is a hidden slide in the world,
@@ -307,20 +310,27 @@ class Maxwell:
     def build(self, spec, where):
         """Hidden slide and tendon of each branch."""
         for name in self._names(where):
-            body = spec.worldbody.add_body(
-                name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
-            )
-            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
-            joints = {STRAP_JOINTS[where.axes[0]]: 1.0, name: -1.0}
-            _tendon(spec, name, joints, stiffness=[1, 0, 0], springlength=[0, 0])
+            _branch(spec, name, STRAP_JOINTS[where.axes[0]])
 
     def set(self, fields, where, parameters, values):
-        """Stiffness and damping. The slides need no inertia: their damping is implicit."""
+        """Stiffness and damping."""
         for name, ratio in zip(self._names(where), self._ratios, strict=True):
-            dof = int(fields.model.joint(name).dofadr[0])
-            stiffness = values[:, 0] / len(self._ratios)
-            fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
-            fields["dof_damping"][:, dof] = stiffness * values[:, 1] * ratio
+            _set_branch(fields, name, values[:, 0] / len(self._ratios), values[:, 1] * ratio)
+
+
+def _branch(spec: mujoco.MjSpec, name: str, joint: str) -> None:
+    """A spring and a damper in series on a joint, at rest where that is zero."""
+    body = spec.worldbody.add_body(
+        name=name, mass=1e-6, inertia=[1e-9] * 3, explicitinertial=True, gravcomp=1
+    )
+    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], damping=[1, 0, 0])
+    _tendon(spec, name, {joint: 1.0, name: -1.0}, stiffness=[1, 0, 0], springlength=[0, 0])
+
+
+def _set_branch(fields: Fields, name: str, stiffness: np.ndarray, time_constant: np.ndarray) -> None:
+    """Values (m,) of a branch. The slide needs no inertia: its damping is implicit."""
+    fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness
+    fields["dof_damping"][:, int(fields.model.joint(name).dofadr[0])] = stiffness * time_constant
 
 
 class Coupling:
@@ -446,6 +456,32 @@ class RobotImpedance:
             fields["dof_armature"][:, dof] = fields.model.dof_armature[dof] + (base - damping) * h / 2
 
 
+class RobotRelaxation:
+    """Joints of the robot with a spring and a damper in series beside their own impedance.
+
+    Values are ln of the branches' stiffness in units of the configured one, joint by joint, and a time constant.
+    """
+
+    def __init__(self, joints: tuple[str, ...]):
+        self._joints = joints
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"series_{name}_{where.element}" for name in self._joints]
+
+    def build(self, spec, where):
+        """A branch per joint."""
+        for name, joint in zip(self._names(where), self._joints, strict=True):
+            _branch(spec, name, joint)
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness and damping; at rest where the joint's own spring is."""
+        for name, joint, ln in zip(self._names(where), self._joints, values[:, :-1].T, strict=True):
+            number = fields.model.joint(joint).id
+            _set_branch(fields, name, fields.model.jnt_stiffness[number] * np.exp(ln), values[:, -1])
+            rest = fields["qpos_spring"][:, fields.model.jnt_qposadr[number]]
+            fields["tendon_lengthspring"][:, fields.tendon(name)] = rest[:, None]
+
+
 class PlannedForce:
     """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
 
@@ -516,13 +552,18 @@ def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:
     z' = k v - b |v| z - g v |z|: k - (b + g) |z| is its slope while it is loaded, k + (b - g) |z| while it is relieved;
     it takes energy for b > 0. Source: Wen, J. Eng. Mech. Div. 102 (1976) 249, exponent 1.
     """
-    stiffness, loading, dissipation = values.T
+    way = np.diff(q)
     z = np.zeros((len(values), len(q)))
-    for i, way in enumerate(np.diff(q)):
-        step, last = stiffness * way, z[:, i]
-        # linear in z while the signs last: each step is exact for its increment
-        rate = np.where(step * last >= 0, loading, 2 * dissipation - loading) * abs(way)
+    for row, (stiffness, loading, dissipation) in zip(z, values, strict=True):
+        # linear in z while the signs last, loaded or relieved: each step is exact for its increment
+        rate = np.array([loading, 2 * dissipation - loading])[:, None] * np.abs(way)
         small = np.abs(rate) < 1e-9
         gain = np.where(small, 1.0, -np.expm1(-rate) / np.where(small, 1.0, rate))
-        z[:, i + 1] = last * np.exp(-rate) + step * gain
+        added, kept = (stiffness * way * gain).tolist(), np.exp(-rate).tolist()
+        force, path = 0.0, []
+        # plain numbers: a step of arrays this short is all overhead
+        for push, k0, k1, a0, a1 in zip((stiffness * way).tolist(), *kept, *added, strict=True):
+            force = force * k0 + a0 if push * force >= 0 else force * k1 + a1
+            path.append(force)
+        row[1:] = path
     return z

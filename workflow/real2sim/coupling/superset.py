@@ -21,7 +21,7 @@ NODES = 21
 
 
 @dataclass(frozen=True)
-class _InputBasis:
+class InputBasis:
     """Changes of the pelvis command (b, nstep, 6) and of pelvis and rate at the start (b, 12) by an input chain.
 
     With ``nodes`` (b,) those are the changes at these evenly spaced values of its one parameter, else slopes and
@@ -59,11 +59,21 @@ class EffectReplay(Replay):
         What input chain, output chain and forces are computed from.
     scales
         Of the effects' parameters.
+    bases
+        What input chains do to the path of this trial, as far as other replays have asked; new ones are added.
     replay
         Arguments of `Replay`.
     """
 
-    def __init__(self, *, effects: Sequence[Placed], context: Context, scales: Scales, **replay):
+    def __init__(
+        self,
+        *,
+        effects: Sequence[Placed],
+        context: Context,
+        scales: Scales,
+        bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
+        **replay,
+    ):
         self.effects = tuple(effects)
         self._context, self._scales = context, scales
         self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
@@ -89,7 +99,14 @@ class EffectReplay(Replay):
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
         chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
-        self._basis = {i: self._input_basis(placed) for i, placed in chains.items()}
+        bases = {} if bases is None else bases
+        self._basis = {}
+        for i, placed in chains.items():
+            reach = placed.values(np.array(placed.bounds()))
+            key = placed.key, self.drive.timestep, reach.tobytes()
+            if key not in bases:
+                bases[key] = self._input_basis(placed)
+            self._basis[i] = bases[key]
         self._columns_of = {
             i: placed.effect.plant.columns(self.model, placed.where)
             for i, placed in enumerate(self.effects)
@@ -123,7 +140,7 @@ class EffectReplay(Replay):
         if self._frictional:
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
-    def _input_basis(self, placed: Placed) -> _InputBasis:
+    def _input_basis(self, placed: Placed) -> InputBasis:
         """How an input chain changes the pelvis command and its start, as far as the parameters' bounds.
 
         One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
@@ -142,7 +159,7 @@ class EffectReplay(Replay):
         if count == 1:
             nodes = np.linspace(low[0], high[0], NODES)
             commands, starts = zip(*(changed(node[None]) for node in nodes), strict=True)
-            return _InputBasis(np.array(commands), np.array(starts), nodes)
+            return InputBasis(np.array(commands), np.array(starts), nodes)
         steps = np.diag(placed.values(placed.bounds()[1][None] / 10)[0])
         # slope and curvature of each parameter from a step either way
         both = [(changed(step), changed(-step)) for step in steps]
@@ -151,7 +168,7 @@ class EffectReplay(Replay):
             up, down = (np.array([pair[way][k] for pair in both]) for way in (0, 1))
             scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
             parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
-        return _InputBasis(*parts)
+        return InputBasis(*parts)
 
     def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
         frame = (self.drive.reference_rotation, self.drive.reference_origin)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, islice
 from typing import TypeVar
 
 import numpy as np
@@ -122,9 +122,10 @@ def plain_fit(evidence: Evidence, bounds: Bounds, start: np.ndarray, settings: d
 
 
 def _conflict(effects: Sequence[Placed]) -> bool:
-    """Two effects cannot both stand for the spring of one axis."""
+    """Two effects cannot both stand for the spring of one axis, nor two forms of one law for what it does there."""
     taken = [axis for placed in effects if placed.effect.replaces_spring for axis in placed.where.axes]
-    return len(taken) != len(set(taken))
+    laws = [(p.effect.name, p.where.axes, p.where.side) for p in effects if len(p.where.axes) == 1]
+    return len(taken) != len(set(taken)) or len(laws) != len(set(laws))
 
 
 def is_makeshift(effects: Sequence[Placed]) -> bool:
@@ -273,25 +274,42 @@ class Search:
     def _screen_one(
         self, effects: tuple[Placed, ...], base: Hypothesis, r0: np.ndarray, j0: np.ndarray
     ) -> Screened | None:
-        placed = effects[-1]
         residuals = self._residuals(effects)
         own = np.arange(len(base.z), len(residuals.lower))
-        best: Screened | None = None
-        for start in placed.starts():
-            for x in _weakened(placed, start):
-                z = np.concatenate([base.z, x])
-                r, jx = residuals.with_jacobian(z, own)
-                if np.isfinite(r).all() and np.isfinite(jx).all():
+        found: Screened | None = None
+        for z, r, rows in self._by_promise(residuals, base, j0):
+            jx = residuals.jacobian(z, r, own)
+            if np.isfinite(jx).all():
+                step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
+                found = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
+                break
+        self.evaluations += residuals.evaluations
+        return found
+
+    def _by_promise(
+        self, residuals: JointResiduals, base: Hypothesis, j0: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Starts of the last effect that MuJoCo bears: point, its residuals and the base's tangent (n_r, 12 + p).
+
+        The one first that leaves least once the base has followed: only there a tangent of the effect's own is taken.
+        """
+        placed = residuals.effects[-1]
+        at = np.array([np.concatenate([base.z, x]) for x in placed.starts()])
+        out = residuals.many(at)
+        tried = []
+        for z, r in zip(at, out, strict=True):
+            for weaker in islice(_weakened(placed, z[len(base.z) :]), 1, None):
+                if np.isfinite(r).all():
                     break
-            else:
+                z = np.concatenate([base.z, weaker])
+                r = residuals.many(z[None])[0]
+            if not np.isfinite(r).all():
                 continue
             # prior rows of the base's own effects stand before those of the new one
             rows = np.vstack([j0, np.zeros((len(r) - len(j0), j0.shape[1]))])
-            step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
-            if best is None or cost < best.predicted:
-                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
-        self.evaluations += residuals.evaluations
-        return best
+            limits = (limit[: len(base.z)] for limit in (residuals.lower, residuals.upper))
+            tried.append((_bounded_step(rows, r, base.z, *limits)[1], z, r, rows))
+        return [(z, r, rows) for _, z, r, rows in sorted(tried, key=lambda t: t[0])]
 
     def pairs(self, base: Hypothesis, screened: Sequence[Screened], most: int) -> list[Screened]:
         """Predicted cost of pairs among screened single effects of the same base, best first, ``most`` of them."""
@@ -388,15 +406,25 @@ def attribute(
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
+        # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
+        near = bool(more) and _earned(search, hypotheses[0], more[0]) >= settings["grow_share"]
         hypotheses += more
-        hypotheses += _swapped(search, hypotheses, everything, settings)
-        grown = _grow(search, hypotheses, promising, settings, progress)
-        hypotheses += grown
-        if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
+        if near:
             hypotheses += _swapped(search, hypotheses, everything, settings)
+            grown = _grow(search, hypotheses, promising, settings, progress)
+            hypotheses += grown
+            if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
+                hypotheses += _swapped(search, hypotheses, everything, settings)
+            hypotheses += _swapped_together(search, hypotheses, everything, settings)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.evaluations)
+
+
+def _earned(search: Search, smaller: Hypothesis, larger: Hypothesis) -> float:
+    """Share of what a set leaves beyond its noise that a larger one takes away."""
+    left = sum(smaller.chi2) - sum(search.samples)
+    return (sum(smaller.chi2) - sum(larger.chi2)) / left
 
 
 def _without_spikes(
@@ -580,6 +608,54 @@ def _swapped(
     return out
 
 
+def _swapped_together(
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict
+) -> list[Hypothesis]:
+    """The best set, where its members are effects of single axes that are mistaken for each other, as one effect.
+
+    Each effect that they are mistaken for stands in for all of them: alone on one axis it leaves what the other does,
+    and nothing shows that it would do better on both. So also where the set leaves nothing but noise.
+    """
+    best = min(found, key=lambda h: sum(h.chi2))
+    first = best.effects[0]
+    of_axes = all(len(p.where.axes) == 1 and _alike(first, p) for p in best.effects)
+    if len(best.effects) < 2 or not of_axes:
+        return []
+    known = {_keys(h.effects) for h in found}
+    starts = []
+    alike = [p for p in places if _alike(first, p)]
+    for law in dict.fromkeys(map(_law, alike)):
+        rivals = [p for m in best.effects for p in alike if _law(p) == law and _same_place(p, m)]
+        if len(rivals) < len(best.effects) or _keys(rivals) in known or _conflict(rivals):
+            continue
+        starts.append(_one_by_one(search, best, rivals))
+    starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
+    return [search.fit(effects, z) for effects, z, _ in starts]
+
+
+def _one_by_one(
+    search: Search, best: Hypothesis, rivals: Sequence[Placed]
+) -> tuple[tuple[Placed, ...], np.ndarray, float]:
+    """The members of a set replaced by rivals, the others in place meanwhile: effects, start and its cost."""
+    effects, parts, strap, cost = list(best.effects), best.split(), best.z[:12], np.inf
+    for rival in rivals:
+        effects, parts = [*effects[1:], rival], parts[1:]
+        z, cost = search.fresh(tuple(effects), np.concatenate([strap, *parts]))
+        strap = z[:12]
+        parts = [*parts, z[12 + sum(map(len, parts)) :]]
+    return tuple(effects), np.concatenate([strap, *parts]), cost
+
+
+def _law(placed: Placed) -> str:
+    """Name and form of a place's effect."""
+    return f"{placed.effect.name} {placed.effect.form}"
+
+
+def _same_place(one: Placed, other: Placed) -> bool:
+    """Whether two places are the same axes and side."""
+    return (one.where.axes, one.where.side) == (other.where.axes, other.where.side)
+
+
 def _rivals(one: Placed, other: Placed) -> bool:
     """Whether another place is on the same axis, or on all, and of an effect that is mistaken for this one."""
     return _alike(one, other) and other.where.axes in (one.where.axes, ())
@@ -627,14 +703,13 @@ def _grow(
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     while len(best.effects) < settings["most_effects"]:
-        left = sum(best.chi2) - sum(search.samples)
         if search.is_noise(best):
             break
         options = search.screen(best, _without(promising, best))[: settings["pair_refits"]]
         more = [search.fit_screened(option) for option in options]
         out += more
         grown = min([best, *more], key=lambda h: sum(h.chi2))
-        if sum(best.chi2) - sum(grown.chi2) < settings["grow_share"] * left:
+        if _earned(search, best, grown) < settings["grow_share"]:
             break
         best = grown
         progress(f"{best.key} leaves {search.excess(best):.1f} sigma")

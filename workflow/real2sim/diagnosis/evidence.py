@@ -9,7 +9,7 @@ band of frequency and over all channels at once. After that a sum of squares is 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
-from real2sim.coupling.superset import EffectReplay
+from real2sim.coupling.superset import EffectReplay, InputBasis
 from real2sim.geometry import (
     AXES,
     INTERFACE_MARKERS,
@@ -84,7 +84,7 @@ class Evidence:
 
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
-    paper; ``coordinates`` (n, 6) are measured.
+    paper; ``coordinates`` (n, 6) are measured; ``bases`` are kept for the replays to come.
     """
 
     trial: Trial
@@ -101,6 +101,7 @@ class Evidence:
     pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
+    bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
 
     @property
     def channels(self) -> int:
@@ -132,6 +133,7 @@ class Evidence:
             **replay_inputs(trial, self.limits, self.robot_file, settings),
             nsim=nsim,
             drive=self.drives[h],
+            bases=self.bases,
         )
 
     def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from real2sim.diagnosis.attribute import (
     plain_fit,
 )
 from real2sim.diagnosis.corrected import corrected
-from real2sim.diagnosis.decide import NONE, Candidate, Decision, decide, next_trial
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, Decision, decide, next_trial
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
 from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
@@ -41,6 +41,8 @@ SMALLEST_GAP = 0.02
 # No ln-parameter is known better than this (SD): a plant with the step of the diagnosis errs as much, measured on the
 # phantom, whose integrator is another (docs/diagnosis.md)
 PLANT_SD_LN = 0.005
+# Probability of `unknown` from which no set of effects is fitted any further
+CERTAIN = 0.99
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
@@ -170,7 +172,9 @@ def _decided(pair: Pair, attribution: Attribution, options: dict) -> Decision:
         likeliest = decision.chosen
         if likeliest is None:
             likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
-        known = decision.verdict == NONE or likeliest in converged | {-1}
+        # what leaves far too much does not become the answer by its last percent
+        far = decision.probabilities[UNKNOWN] > CERTAIN
+        known = decision.verdict == NONE or far or likeliest in converged | {-1}
         if known or len(converged) == options["search"]["final_refits"]:
             return decision
         converged.add(likeliest)

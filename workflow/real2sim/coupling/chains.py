@@ -280,12 +280,16 @@ def ratchet(values, context, where, parameters):
     """Forces (m, steps, 1) [N, Nm] on the strap joint of threshold and rate (m, 2)."""
     # the rest pose follows what is pulled beyond a threshold, at a rate, and never returns
     axis, dt = where.axes[0], context.time_s[1] - context.time_s[0]
-    pulled = where.side * context.coordinates[:, axis]
-    threshold, rate = values.T
+    pulled = (where.side * context.coordinates[:, axis]).tolist()
     slipped = np.zeros((len(values), len(pulled)))
-    for i in range(1, len(pulled)):
-        beyond = np.maximum(pulled[i] - slipped[:, i - 1] - threshold, 0.0)
-        slipped[:, i] = slipped[:, i - 1] + beyond * (1 - np.exp(-rate * dt))
+    # plain numbers: a step of arrays this short is all overhead
+    for row, (threshold, rate) in zip(slipped, values.tolist(), strict=True):
+        share, way, path = 1 - np.exp(-rate * dt), 0.0, []
+        for here in pulled[1:]:
+            beyond = here - way - threshold
+            way += beyond * share if beyond > 0 else 0.0
+            path.append(way)
+        row[1:] = path
     force = where.side * parameters[:, axis, None] * slipped
     return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
 

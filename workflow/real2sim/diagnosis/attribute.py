@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, islice
+from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
@@ -159,8 +159,8 @@ class Search:
         judged = np.where(np.isfinite(judged), judged, FAILED)
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
-        (train, _), (other, j) = judged.tolist()
-        return Hypothesis(tuple(effects), z, (train, other), j, count)
+        (train, j_train), (other, j_other) = judged.tolist()
+        return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count)
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
         """Those of the training trial; what is only searched with does not need the finest time step."""
@@ -274,42 +274,25 @@ class Search:
     def _screen_one(
         self, effects: tuple[Placed, ...], base: Hypothesis, r0: np.ndarray, j0: np.ndarray
     ) -> Screened | None:
+        placed = effects[-1]
         residuals = self._residuals(effects)
         own = np.arange(len(base.z), len(residuals.lower))
-        found: Screened | None = None
-        for z, r, rows in self._by_promise(residuals, base, j0):
-            jx = residuals.jacobian(z, r, own)
-            if np.isfinite(jx).all():
-                step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
-                found = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
-                break
-        self.evaluations += residuals.evaluations
-        return found
-
-    def _by_promise(
-        self, residuals: JointResiduals, base: Hypothesis, j0: np.ndarray
-    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Starts of the last effect that MuJoCo bears: point, its residuals and the base's tangent (n_r, 12 + p).
-
-        The one first that leaves least once the base has followed: only there a tangent of the effect's own is taken.
-        """
-        placed = residuals.effects[-1]
-        at = np.array([np.concatenate([base.z, x]) for x in placed.starts()])
-        out = residuals.many(at)
-        tried = []
-        for z, r in zip(at, out, strict=True):
-            for weaker in islice(_weakened(placed, z[len(base.z) :]), 1, None):
-                if np.isfinite(r).all():
+        best: Screened | None = None
+        for start in placed.starts():
+            for x in _weakened(placed, start):
+                z = np.concatenate([base.z, x])
+                r, jx = residuals.with_jacobian(z, own)
+                if np.isfinite(r).all() and np.isfinite(jx).all():
                     break
-                z = np.concatenate([base.z, weaker])
-                r = residuals.many(z[None])[0]
-            if not np.isfinite(r).all():
+            else:
                 continue
             # prior rows of the base's own effects stand before those of the new one
             rows = np.vstack([j0, np.zeros((len(r) - len(j0), j0.shape[1]))])
-            limits = (limit[: len(base.z)] for limit in (residuals.lower, residuals.upper))
-            tried.append((_bounded_step(rows, r, base.z, *limits)[1], z, r, rows))
-        return [(z, r, rows) for _, z, r, rows in sorted(tried, key=lambda t: t[0])]
+            step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
+            if best is None or cost < best.predicted:
+                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
+        self.evaluations += residuals.evaluations
+        return best
 
     def pairs(self, base: Hypothesis, screened: Sequence[Screened], most: int) -> list[Screened]:
         """Predicted cost of pairs among screened single effects of the same base, best first, ``most`` of them."""

@@ -84,7 +84,8 @@ class Evidence:
 
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
-    paper; ``coordinates`` (n, 6) are measured; ``bases`` are kept for the replays to come.
+    paper; ``coordinates`` (n, 6) are measured; ``bases``, ``draws`` and ``commands`` are
+    kept for the replays to come: what input chains and noise do to the path, as paths and as commands of a time step.
     """
 
     trial: Trial
@@ -102,6 +103,8 @@ class Evidence:
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
+    draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
 
     @property
     def channels(self) -> int:
@@ -207,9 +210,8 @@ class Evidence:
 
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
-        rng = np.random.default_rng(seed)
         n = len(self.trial.time_s)
-        self.noise = error = self._noise(parameters, draws, rng)
+        self.noise = error = self._noise(parameters, draws, seed)
         floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
         band = self.band_of(n)
@@ -232,32 +234,28 @@ class Evidence:
 
         Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
         """
-        error = self._noise(parameters, draws, np.random.default_rng(seed), effects, x)
+        error = self._noise(parameters, draws, seed, effects, x)
         return np.sum(self.whiten(error) ** 2, axis=1)
 
     def _noise(
         self,
         parameters: np.ndarray,
         draws: int,
-        rng: np.random.Generator,
+        seed: int,
         effects: Sequence[Placed] = (),
         x: Sequence[np.ndarray] = (),
     ) -> np.ndarray:
         """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
-        settings = self.settings["ingest"]
         replay = self.replay(list(effects), draws + 1, coarse=True)
-        markers = np.empty((draws, len(self.trial.time_s), 2, 3))
-        for i in range(draws):
-            self._shake(replay, i + 1, rng)
-            own = self._filtered_noise(INTERFACE_MARKERS, settings["cutoff_hz"], rng)
-            markers[i] = own - own[: self.context.start].mean(axis=0)
+        self._shake(replay, draws, seed)
+        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        markers -= markers[:, : self.context.start].mean(axis=1, keepdims=True)
         return self._without_gaps(self._apart(replay, parameters, draws, markers, x))
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
-        replay, rng = self.replay([], draws + 1), np.random.default_rng(seed)
-        for i in range(draws):
-            self._shake(replay, i + 1, rng)
+        replay = self.replay([], draws + 1)
+        self._shake(replay, draws, seed)
         return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0))
 
     def _filtered_noise(
@@ -271,16 +269,28 @@ class Evidence:
         )
         return filtered.reshape(white.shape)
 
-    def _shake(self, replay: EffectReplay, i: int, rng: np.random.Generator) -> None:
-        """Give simulation ``i`` of a replay a pelvis that was measured with other noise."""
-        trial = self.trial
-        clean = _rigid_markers(trial)
-        r_clean, p_clean = pelvis_frame(*clean)
-        noise = self._filtered_noise(PELVIS_MARKERS, self.pelvis_cutoff_hz, rng)
-        r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
-        turn = np.einsum("nij,nkj->nik", r, r_clean)
-        rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-        replay.set_command(i, replay.command_for(rotation, position))
+    def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
+        if (seed, i) not in self.draws:
+            trial, rng = self.trial, np.random.default_rng([seed, i])
+            clean = _rigid_markers(trial)
+            r_clean, p_clean = pelvis_frame(*clean)
+            noise = self._filtered_noise(PELVIS_MARKERS, self.pelvis_cutoff_hz, rng)
+            r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
+            turn = np.einsum("nij,nkj->nik", r, r_clean)
+            rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
+            own = self._filtered_noise(INTERFACE_MARKERS, self.settings["ingest"]["cutoff_hz"], rng)
+            self.draws[seed, i] = rotation, position, own
+        return self.draws[seed, i]
+
+    def _shake(self, replay: EffectReplay, draws: int, seed: int) -> None:
+        """Give all simulations of a replay but the first a pelvis that was measured with other noise."""
+        h = replay.model.opt.timestep
+        for i in range(draws):
+            key = seed, i, h
+            if key not in self.commands:
+                self.commands[key] = replay.command_for(*self._draw(seed, i)[:2])
+            replay.set_command(i + 1, self.commands[key])
 
     def _apart(
         self,

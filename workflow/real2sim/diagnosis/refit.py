@@ -21,14 +21,13 @@ NO_RANGE = 1e-4
 class Hypothesis:
     """Effects with fitted values: ``z`` (12 + p,) ln-parameters and searched numbers, chi-squared of both trials.
 
-    ``chi2`` are those of the training and the held-out trial, ``j_held_out`` is J of the held-out trial;
-    ``evaluations`` counts replays.
+    ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays.
     """
 
     effects: tuple[Placed, ...]
     z: np.ndarray
     chi2: tuple[float, float]
-    j_held_out: float = np.nan
+    j: tuple[float, float] = (np.nan, np.nan)
     evaluations: int = 0
 
     @property

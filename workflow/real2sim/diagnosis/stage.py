@@ -214,7 +214,7 @@ def _answer(
     draws = held_out.cost.energy(noise.reshape(*noise.shape[:2], 2, 3))
     floor = float(draws.mean())
     base = float(held_out.cost(paths["plain"][None]).total[0])
-    ranked = _causes(pair, attribution, decision, base, floor)
+    ranked = _causes(pair, attribution, decision, paths["plain"], floor)
     stages: dict[str, float] = {}
     for name, probability in decision.probabilities.items():
         if name in STAGE_OF:
@@ -278,7 +278,7 @@ def _considered(attribution: Attribution, decision: Decision) -> list[dict[str, 
             "places": [placed.key for placed in h.effects],
             "parameters": len(h.z) - 12,
             "chi2": list(h.chi2),
-            "J_held_out": h.j_held_out,
+            "J_held_out": h.j[1],
             "probability": float(probability),
         }
         for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
@@ -307,7 +307,7 @@ def _baselines(attribution: Attribution) -> dict[str, str]:
 def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str, str]:
     """What rules say that take every sample of J for a measurement of its own, from the training trial."""
     fits = [attribution.plain, *(h for h in attribution.hypotheses if len(h.effects) == 1)]
-    j = np.array([evidence.cost(_paths(evidence, h)[None]).total[0] for h in fits])
+    j = np.array([h.j[0] for h in fits])
     free = np.array([len(h.z) for h in fits])
     n = 6 * evidence.cost.samples / 2
     scores = {
@@ -343,9 +343,12 @@ def _axes(best: Hypothesis, measured: dict[str, float]) -> dict[str, float]:
 
 
 def _causes(
-    pair: Pair, attribution: Attribution, decision: Decision, base: float, floor: float
+    pair: Pair, attribution: Attribution, decision: Decision, plain: np.ndarray, floor: float
 ) -> list[dict[str, Any]]:
-    """Every effect with some probability: its best set, what it closes, its parameters with intervals."""
+    """Every effect with some probability: its best set, what it closes, its parameters with intervals.
+
+    ``plain`` (n, 2, 3) [m] is the held-out trial without effects. What has hardly any probability gets no intervals.
+    """
     out: list[dict[str, Any]] = []
     seen: set[str] = set()
     best_first = np.argsort(-decision.sets)
@@ -353,7 +356,8 @@ def _causes(
         hypothesis = attribution.hypotheses[index]
         for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
             name = placed.effect.name
-            if name in seen or (decision.probabilities[name] < 0.005 and len(out) >= 3):
+            told = decision.probabilities[name] >= 0.005
+            if name in seen or (not told and len(out) >= 3):
                 continue
             seen.add(name)
             entry = {
@@ -367,19 +371,18 @@ def _causes(
                 "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
             }
             if len(out) < 3:
-                entry |= _closed(pair, attribution.plain, hypothesis, base, floor)
+                entry |= _closed(pair.held_out, plain, _paths(pair.held_out, hypothesis), floor)
+            if told and len(out) < 3:
                 _add_intervals(pair, hypothesis, placed, entry["parameters"])
             out.append(entry)
     return out
 
 
-def _closed(
-    pair: Pair, plain: Hypothesis, hypothesis: Hypothesis, base: float, floor: float
-) -> dict[str, Any]:
-    """J on the held-out trial and the share of the closable gap, with a block-bootstrap interval."""
-    evidence = pair.held_out
-    j = float(evidence.cost(_paths(evidence, hypothesis)[None]).total[0])
-    rows = [evidence.cost.residuals(_paths(evidence, h)[None])[0] for h in (plain, hypothesis)]
+def _closed(evidence: Evidence, plain: np.ndarray, path: np.ndarray, floor: float) -> dict[str, Any]:
+    """J on a trial and the share of the closable gap, with a block-bootstrap interval, of paths (n, 2, 3) [m]."""
+    costs = evidence.cost(np.stack([plain, path])).total
+    base, j = float(costs[0]), float(costs[1])
+    rows = evidence.cost.residuals(np.stack([plain, path]))
     sample = evidence.cost.sample_of_residual()
     saved = np.bincount(sample, weights=rows[0] ** 2 - rows[1] ** 2)
     rate = round(1 / float(evidence.trial.time_s[1] - evidence.trial.time_s[0]))

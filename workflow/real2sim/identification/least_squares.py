@@ -56,8 +56,6 @@ class Residuals:
 
     def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
         """As `with_jacobian`, where the residuals ``r`` (n_r,) at z are known."""
-        if not len(free):
-            return np.empty((len(r), 0))
         points, step = self._neighbours(z, free)
         return self._slopes(z, free, r, self.many(points), step)
 

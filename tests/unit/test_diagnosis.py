@@ -28,14 +28,17 @@ from real2sim.diagnosis.attribute import (
     _best_of_each,
     _first_of_each,
     _fresh_starts,
+    _pairs,
     _promising,
     _pruned,
     _single,
     _swapped,
+    _swapped_together,
     _without_spikes,
+    finished,
     is_makeshift,
 )
-from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, further_price, next_trial
 from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
@@ -803,6 +806,84 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
     near = [_promise(places["sync_offset"], 3500.0)]
     _alone(search, [*(_promise(places[name], 2000.0) for name in first), *far, *near], plain, settings)
     assert search.refitted == [*first, "lugre", "sync_offset"]
+
+
+@pytest.mark.parametrize("others", [True, False])
+def test_where_less_is_left_than_a_second_cause_costs_only_axes_of_the_same_are_tried(others):
+    settings = CONFIG["diagnosis"]["search"]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS if not e.form for where in e.places()]
+    coulomb, tilt = (
+        Hypothesis((next(p for p in everything if p.effect.name == name),), np.zeros(13), (left, left))
+        for name, left in (("coulomb", 4000.0), ("tilt", 9000.0))
+    )
+    pooled = []
+
+    class Axes(_Counting):
+        def pairs(self, base, screened, most):
+            pooled.extend(screened)
+            return []
+
+        def screen(self, base, places):
+            return [replace(_promise(p, 3000.0), effects=(*base.effects, p)) for p in places]
+
+    search = Axes(100.0)
+    singles = [_promise(p, 3000.0) for p in everything]
+    plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
+    _, promising = _pairs(search, plain, singles, [coulomb, tilt], everything, settings, others=others)
+    names = {p.effect.name for p in promising}
+    if others:
+        assert len(pooled) == settings["pair_pool"]
+        assert names == {p.effect.name for p in everything}
+    else:
+        assert not pooled
+        assert search.refitted == ["coulomb"]
+        assert names == {"coulomb"}
+
+
+def test_the_price_of_a_second_cause_grows_with_the_gap():
+    none, gap = (further_price((2880.0 + x, 2880.0), (2880, 2880), CALIBRATION) for x in (-500.0, 1e6))
+    assert none == CALIBRATION["second_effect"]
+    assert gap == none + CALIBRATION["second_effect_share"] * 1e6
+
+
+def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
+    settings = CONFIG["diagnosis"]["search"]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places()]
+    pair = tuple(
+        next(p for p in everything if p.effect.name == "relaxation" and p.where.axes == (axis,))
+        for axis in (1, 2)
+    )
+
+    class Costs(_Stuck):
+        def fresh(self, effects, base):
+            start = effects[-1].starts()[0]
+            friction = all(p.effect.name == "coulomb" for p in effects)
+            return np.concatenate([base, start]), 100.0 if friction else 5000.0
+
+        def fit(self, effects, start, final=False):
+            assert len(start) == 12 + sum(len(p.effect.parameters) for p in effects)
+            return Hypothesis(tuple(effects), start, (2880.0, 2880.0))
+
+    found = Hypothesis(pair, np.zeros(16), (2880.0, 2880.0))
+    tried = _swapped_together(Costs(), [found], everything, settings)
+    assert tried[0].key == "coulomb ty + coulomb tz"
+    assert len(tried) == settings["swap_refits"]
+    alone = Hypothesis(pair[:1], np.zeros(14), (2880.0, 2880.0))
+    assert _swapped_together(Costs(), [alone], everything, settings) == []
+
+
+@pytest.mark.parametrize(("left", "key"), [(2880.0, "final_iterations"), (50_000.0, "iterations")])
+def test_what_leaves_far_more_than_noise_is_not_fitted_to_its_last_digit(monkeypatch, left, key):
+    settings, used = CONFIG["diagnosis"]["search"], []
+
+    def fit(self, effects, start, final=False):
+        used.append(self._settings["final_iterations"])
+        return Hypothesis(effects, start, (left, left))
+
+    monkeypatch.setattr(Search, "fit", fit)
+    monkeypatch.setattr(Search, "is_noise", lambda self, hypothesis: sum(hypothesis.chi2) < 6000)
+    finished(None, Hypothesis((), np.zeros(12), (left, left)), settings)
+    assert used == [settings[key]]
 
 
 def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():

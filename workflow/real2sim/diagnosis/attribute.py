@@ -6,7 +6,7 @@ own parameters) and by what it predicts for a trial of another regime, never by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TypeVar
@@ -15,6 +15,7 @@ import numpy as np
 
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import Scales
+from real2sim.diagnosis.decide import further_price
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares
@@ -370,11 +371,13 @@ def attribute(
     settings: dict,
     progress: Callable[[str], None],
     places: Sequence[Placed] | None = None,
+    calibration: Mapping[str, float] | None = None,
 ) -> Attribution:
     """Plain fit, then every effect alone, then pairs where one alone leaves more than noise.
 
     ``start`` (12,) are ln-parameters; ``settings`` is the slice ``diagnosis.search`` of the configuration; ``places``
-    are the effects to try, everything everywhere by default.
+    are the effects to try, everything everywhere by default. With ``calibration`` (``diagnosis.calibration``), no other
+    effect is looked for where less is left than the decision asks of one: only more axes of the same.
     """
     search = Search(pair, settings)
     plain = search.fit((), start, final=True)
@@ -388,7 +391,9 @@ def attribute(
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
-        more, promising = _pairs(search, plain, singles, hypotheses, everything, settings)
+        left = sum(hypotheses[0].chi2) - sum(count)
+        others = calibration is None or left > further_price(plain.chi2, count, calibration)
+        more, promising = _pairs(search, plain, singles, hypotheses, everything, settings, others=others)
         # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
         near = bool(more) and _earned(search, hypotheses[0], more[0]) >= settings["grow_share"]
         hypotheses += more
@@ -494,19 +499,25 @@ def _pairs(
     found: Sequence[Hypothesis],
     everything: Sequence[Placed],
     settings: dict,
+    *,
+    others: bool,
 ) -> tuple[list[Hypothesis], list[Placed]]:
     """Second effects on top of the best single ones, and pairs that the tangent alone promises, best first.
 
-    Also the places that promise most on top of the best single one, with every effect among them.
+    Also the places that promise most on top of the best single one, with every effect among them. Without ``others``
+    only the single effects themselves on further axes.
     """
-    options = search.pairs(plain, singles[: settings["pair_pool"]], settings["pair_refits"])
+    pool = singles[: settings["pair_pool"]] if others else []
+    options = search.pairs(plain, pool, settings["pair_refits"])
     # an effect that promised nothing beside the whole gap may be all that is left once the other is there
     screens: list[list[Screened]] = []
     singly = _first_of_each(found, lambda h: h.names[0])
-    for single in singly[: settings["pair_screens"]]:
+    for single in singly[: settings["pair_screens"]] if others else []:
         screens.append(search.screen(single, _without(everything, single)))
         options += screens[-1][: settings["pair_refits"]]
     promising = [*found[0].effects, *_promising(screens[0] if screens else singles, settings["pair_pool"])]
+    if not others:
+        promising = [p for p in everything if p.effect.name == found[0].names[0]]
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
     for single in singly[: settings["spread_refits"]]:
         options += search.screen(single, _elsewhere(single, singles))[:1]
@@ -671,6 +682,10 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
 def finished(pair: Pair, hypothesis: Hypothesis, settings: dict) -> Hypothesis:
     """A hypothesis refitted until it converged; the old one where that did not help the training trial."""
     search = Search(pair, settings)
+    if not search.is_noise(hypothesis):
+        # the last digit of what leaves far more than noise is worth no hundred Jacobians
+        rough = {f"final_{key}": settings[key] for key in ("iterations", "ftol")}
+        search = Search(pair, settings | rough)
     again = search.fit(hypothesis.effects, hypothesis.z, final=True)
     return again if again.chi2[0] <= hypothesis.chi2[0] else hypothesis
 

@@ -66,6 +66,14 @@ def features(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[i
     }
 
 
+def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> float:
+    """What a second and every further law must take from chi-squared, given that of the plain plant on both trials.
+
+    It must earn something in itself and, lest it mend the form of another, beside the gap.
+    """
+    return c["second_effect"] + c["second_effect_share"] * max(sum(plain) - sum(samples), 0.0)
+
+
 def _left(candidate: Candidate, c: Mapping[str, float]) -> float:
     """What a set leaves of chi-squared, the training trial weighted."""
     return c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
@@ -79,8 +87,7 @@ def logits(
     excess = max(f["excess_sd"], 0.0) * np.sqrt(2 * sum(samples))
     temperature = c["temperature"] + c["temperature_per_excess"] * excess
 
-    # a further effect must earn something in itself and, lest it mend the form of another, beside the gap
-    gap = c["second_effect_share"] * max(sum(plain.chi2) - sum(samples), 0.0)
+    further = further_price(plain.chi2, samples, c)
 
     def laws(candidate: Candidate) -> int:
         return sum(name not in ISOLATED for name in candidate.names)
@@ -88,7 +95,7 @@ def logits(
     def score(candidate: Candidate) -> float:
         price = c["per_parameter"] * candidate.parameters
         price += c["isolated"] * (len(candidate.names) - laws(candidate))
-        price += (c["second_effect"] + gap) * max(laws(candidate) - 1, 0)
+        price += further * max(laws(candidate) - 1, 0)
         return -(_left(candidate, c) + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])

@@ -132,7 +132,8 @@ def diagnose(
     pair, z = prepare(
         train=train, held_out=held_out, neutral=neutral, limits=limits, robot=robot, settings=settings
     )
-    attribution = attribute(pair, z, settings["diagnosis"]["search"], progress)
+    options = settings["diagnosis"]
+    attribution = attribute(pair, z, options["search"], progress, calibration=options["calibration"])
     decision = _decided(pair, attribution, settings["diagnosis"])
     progress(f"verdict {decision.verdict}")
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)

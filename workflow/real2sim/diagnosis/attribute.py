@@ -618,8 +618,8 @@ def _swapped_together(
     known = {_keys(h.effects) for h in found}
     starts = []
     alike = [p for p in places if _alike(first, p)]
-    for law in dict.fromkeys(map(_law, alike)):
-        rivals = [p for m in best.effects for p in alike if _law(p) == law and _same_place(p, m)]
+    for law in dict.fromkeys(p.effect for p in alike):
+        rivals = [p for m in best.effects for p in alike if p.effect is law and _same_place(p, m)]
         if len(rivals) < len(best.effects) or _keys(rivals) in known or _conflict(rivals):
             continue
         starts.append(_one_by_one(search, best, rivals))
@@ -638,11 +638,6 @@ def _one_by_one(
         strap = z[:12]
         parts = [*parts, z[12 + sum(map(len, parts)) :]]
     return tuple(effects), np.concatenate([strap, *parts]), cost
-
-
-def _law(placed: Placed) -> str:
-    """Name and form of a place's effect."""
-    return f"{placed.effect.name} {placed.effect.form}"
 
 
 def _same_place(one: Placed, other: Placed) -> bool:

@@ -84,8 +84,8 @@ class Evidence:
 
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
-    paper; ``coordinates`` (n, 6) are measured; ``bases``, ``draws`` and ``commands`` are
-    kept for the replays to come: what input chains and noise do to the path, as paths and as commands of a time step.
+    paper; ``coordinates`` (n, 6) are measured. What input chains and noise make of the pelvis' path is kept for the
+    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step.
     """
 
     trial: Trial

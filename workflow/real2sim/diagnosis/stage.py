@@ -134,7 +134,7 @@ def diagnose(
     )
     options = settings["diagnosis"]
     attribution = attribute(pair, z, options["search"], progress, calibration=options["calibration"])
-    decision = _decided(pair, attribution, settings["diagnosis"])
+    decision = _decided(pair, attribution, options)
     progress(f"verdict {decision.verdict}")
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:

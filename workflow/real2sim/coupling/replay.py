@@ -7,8 +7,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
+from real2sim.batches import untimed_batch
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.plant import (
     ROBOT_JOINTS,
@@ -127,7 +127,7 @@ class Replay:
         command[:, :6] = servo_command(self.drive)
         self._control = np.tile(command, (nsim, 1, 1))
         self.nsim = nsim
-        self._batch = Batch(self.model, nsim, threads)
+        self._batch = untimed_batch(self.model, nsim, threads)
         joints = [self.model.joint(name) for name in STRAP_JOINTS]
         self._dofs = np.array([j.dofadr[0] for j in joints])
         self._joints = np.array([j.id for j in joints])

@@ -19,7 +19,8 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+
+from real2sim.batches import untimed_batch
 
 AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
 BASE_JOINTS = ("base_x", "base_y", "base_yaw")
@@ -320,7 +321,7 @@ class _Runs:
 
     def run(self) -> None:
         n, total = len(self.paths), int(self.steps[0])
-        batch = Batch(self.robot.model, n, 1, True)
+        batch = untimed_batch(self.robot.model, n, 1, persistent=True)
         if self.added_mass is not None:
             batch.expand("body_mass")[:, self.robot.body] += self.added_mass[:, 0]
             batch.expand("body_inertia")[:, self.robot.body] += self.added_mass[:, 1:]

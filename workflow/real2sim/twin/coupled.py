@@ -15,8 +15,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
+from real2sim.batches import untimed_batch
 from real2sim.coupling.plant import (
     ROBOT_JOINTS,
     STRAP_JOINTS,
@@ -207,7 +207,7 @@ class _Walkers:
         self.policy, self.model, self.n = policy, model, n
         self.substeps = int(twin["training"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
-        self.batch = Batch(model, n, threads)
+        self.batch = untimed_batch(model, n, threads)
         self.kp = gains(policy.body)
         self._q = np.array([model.joint(j).qposadr[0] for j in JOINTS])
         self._v = np.array([model.joint(j).dofadr[0] for j in JOINTS])

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mujoco.batch import Batch
 
+from real2sim.batches import untimed_batch
 from real2sim.twin.gait import Reference
 from real2sim.twin.human import (
     COMMANDED,
@@ -242,7 +242,7 @@ class WalkEnv:
     ):
         self.who, self.reference, self.settings = who, reference, settings
         self.model = human_spec(who, human).compile()
-        self.batch = Batch(self.model, nsim, threads)
+        self.batch = untimed_batch(self.model, nsim, threads)
         self.nsim = nsim
         self.substeps = int(settings["substeps"])
         self.control_s = self.substeps * self.model.opt.timestep

@@ -34,17 +34,26 @@ from real2sim.diagnosis.attribute import (
     _single,
     _swapped,
     _swapped_together,
+    _together,
     _without_spikes,
     finished,
     is_makeshift,
 )
-from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, further_price, next_trial
+from real2sim.diagnosis.decide import (
+    NONE,
+    UNKNOWN,
+    Candidate,
+    decide,
+    further_price,
+    is_out_of_reach,
+    next_trial,
+)
 from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
 from real2sim.geometry import interface_frame
-from real2sim.identification.least_squares import STEP
+from real2sim.identification.least_squares import STEP, Tangent
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 from real2sim.signals import lowpass
@@ -581,6 +590,10 @@ def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is
     assert np.abs(np.log(drawn_together(unlike, freedom) / unlike)).max() < 0.05
 
 
+def _tangent(z):
+    return Tangent(z, np.zeros(1), np.zeros((1, len(z))))
+
+
 class _Stuck(Search):
     """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
@@ -591,7 +604,7 @@ class _Stuck(Search):
     def fresh(self, effects, base):
         return np.append(base, np.log(self.start)), self.cost
 
-    def fit(self, effects, start, final=False):
+    def fit(self, effects, start, final=False, tangent=None):
         self.asked.append(start[12:])
         good = np.isclose(start[12:], np.log(0.3)).all()
         if (start[12:] == 9).any():
@@ -610,7 +623,7 @@ def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     placed = Placed(effect, effect.places()[0], SCALES)
     plain = Hypothesis((), np.zeros(12), (2000.0, 2000.0))
     stuck = np.concatenate([plain.z, [np.log(0.01)]])
-    screened = Screened((placed,), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck)
+    screened = Screened((placed,), 500.0, stuck, _tangent(stuck))
     search = _Stuck()
     assert _single(search, screened, plain).chi2 == (100.0, 100.0)
     assert len(search.asked) == 1 + len(placed.starts())
@@ -620,7 +633,7 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
     effect = next(e for e in EFFECTS if e.name == "coulomb")
     placed = Placed(effect, effect.places()[0], SCALES)
     far, near = np.append(np.zeros(12), 9.0), np.append(np.zeros(12), np.log(0.3))
-    screened = Screened((placed,), 500.0, far, np.zeros(1), np.zeros((1, 1)), near)
+    screened = Screened((placed,), 500.0, far, _tangent(near))
     assert _Stuck().fit_screened(screened).chi2 == (100.0, 100.0)
 
 
@@ -628,9 +641,7 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
 def test_a_start_that_is_better_than_what_a_refit_came_to_is_gone_on_from(cost, left):
     effect = next(e for e in EFFECTS if e.name == "coulomb")
     stuck = np.append(np.zeros(12), np.log(0.01))
-    screened = Screened(
-        (Placed(effect, effect.places()[0], SCALES),), 500.0, stuck, np.zeros(1), np.zeros((1, 1)), stuck
-    )
+    screened = Screened((Placed(effect, effect.places()[0], SCALES),), 500.0, stuck, _tangent(stuck))
     assert _Stuck(0.3, cost).fit_screened(screened).chi2 == (left, left)
 
 
@@ -783,16 +794,26 @@ class _Counting(_Stuck):
 
 def _promise(placed: Placed, predicted: float) -> Screened:
     start = np.concatenate([np.zeros(12), placed.starts()[0]])
-    return Screened((placed,), predicted, start, np.zeros(1), np.zeros((1, 1)), start)
+    return Screened((placed,), predicted, start, _tangent(start))
 
 
 def test_where_there_is_no_gap_a_few_refits_are_enough():
     settings = CONFIG["diagnosis"]["search"]
     plain = Hypothesis((), np.zeros(12), (2800.0, 2800.0))
     shortlist = [_promise(Placed(e, e.places()[0], SCALES), 2700.0) for e in EFFECTS[:9]]
-    quiet, loud = _Counting(-1.0), _Counting(1.5)
-    assert len(_alone(quiet, shortlist, plain, settings)) == QUIET_REFITS
-    assert len(_alone(loud, shortlist, plain, settings)) == len(shortlist)
+    for quiet, refits in ((True, QUIET_REFITS), (False, len(shortlist))):
+        assert len(_alone(_Counting(1.5), shortlist, plain, settings, quiet=quiet)) == refits
+
+
+def test_a_gap_that_no_law_could_earn_its_price_with_leaves_none_unquestioned():
+    samples = (2880, 2880)
+    assert is_out_of_reach((3030.0, 2900.0), samples, CALIBRATION)
+    assert not is_out_of_reach((3300.0, 3300.0), samples, CALIBRATION)
+    # nor would the decision name a law that explained so little, all of it
+    for left in ((3030.0, 2900.0), (2900.0, 3060.0)):
+        assert is_out_of_reach(left, samples, CALIBRATION)
+        law = Candidate(("coulomb",), 1, (2880.0, 2880.0))
+        assert decide(Candidate((), 0, left), [law], samples, CALIBRATION).probabilities["coulomb"] < 0.05
 
 
 def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
@@ -804,7 +825,13 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
     search = _Counting(100.0)
     far = [_promise(places[name], 2880 + OUT_OF_REACH + 100) for name in ("preload", "lugre")]
     near = [_promise(places["sync_offset"], 3500.0)]
-    _alone(search, [*(_promise(places[name], 2000.0) for name in first), *far, *near], plain, settings)
+    _alone(
+        search,
+        [*(_promise(places[name], 2000.0) for name in first), *far, *near],
+        plain,
+        settings,
+        quiet=False,
+    )
     assert search.refitted == [*first, "lugre", "sync_offset"]
 
 
@@ -819,7 +846,7 @@ def test_where_less_is_left_than_a_second_cause_costs_only_axes_of_the_same_are_
     pooled = []
 
     class Axes(_Counting):
-        def pairs(self, base, screened, most):
+        def pairs(self, screened, most):
             pooled.extend(screened)
             return []
 
@@ -860,7 +887,7 @@ def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
             friction = all(p.effect.name == "coulomb" for p in effects)
             return np.concatenate([base, start]), 100.0 if friction else 5000.0
 
-        def fit(self, effects, start, final=False):
+        def fit(self, effects, start, final=False, tangent=None):
             assert len(start) == 12 + sum(len(p.effect.parameters) for p in effects)
             return Hypothesis(tuple(effects), start, (2880.0, 2880.0))
 
@@ -876,7 +903,7 @@ def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
 def test_what_leaves_far_more_than_noise_is_not_fitted_to_its_last_digit(monkeypatch, left, key):
     settings, used = CONFIG["diagnosis"]["search"], []
 
-    def fit(self, effects, start, final=False):
+    def fit(self, effects, start, final=False, tangent=None):
         used.append(self._settings["final_iterations"])
         return Hypothesis(effects, start, (left, left))
 
@@ -901,7 +928,7 @@ def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():
     coulomb.start[:12] = strap
     shortlist = [coulomb, _promise(places["lugre"], 2100.0), _promise(places["tilt"], 2100.0)]
     plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
-    found = _alone(Beside(100.0), shortlist, plain, settings)
+    found = _alone(Beside(100.0), shortlist, plain, settings, quiet=False)
     assert asked == [("lugre", 3.0)]
     assert found[0].names == ("lugre",)
 
@@ -1015,8 +1042,21 @@ def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
     assert placed.weaker(np.array([0.0, 0.06, -3.0, -3.0]))[1] == pytest.approx(0.05)
 
 
+def test_two_tangents_add_up_and_keep_the_prior_rows_of_each():
+    here = Tangent(np.zeros(12), np.ones(20), np.arange(240.0).reshape(20, 12))
+    one = Tangent(np.append(here.z, 1.0), np.full(20, 3.0), np.hstack([here.jacobian, np.full((20, 1), 5.0)]))
+    prior = np.vstack([np.hstack([here.jacobian, np.full((20, 1), 7.0)]), np.append(np.zeros(12), 4.0)])
+    other = Tangent(np.append(here.z, 2.0), np.append(np.full(20, 0.5), 8.0), prior)
+    both = _together(here, one, other)
+    assert both.z[12:].tolist() == [1.0, 2.0]
+    assert both.residuals.tolist() == [2.5] * 20 + [8.0]
+    assert (both.jacobian[:20, :12] == here.jacobian).all()
+    assert both.jacobian[0, 12:].tolist() == [5.0, 7.0]
+    assert both.jacobian[20].tolist() == [0.0] * 13 + [4.0]
+
+
 def _screened(effects, predicted=1.0):
-    return Screened(tuple(effects), predicted, np.zeros(12), np.zeros(1), np.zeros((1, 1)), np.zeros(12))
+    return Screened(tuple(effects), predicted, np.zeros(12), _tangent(np.zeros(12)))
 
 
 def test_every_effect_stays_in_the_running_for_a_second_cause():

@@ -16,7 +16,7 @@ from real2sim.identification.identifiability import (
     long_run_covariance,
     profile_end,
 )
-from real2sim.identification.least_squares import Residuals, minimise, search
+from real2sim.identification.least_squares import Residuals, Tangent, minimise, search
 from real2sim.identification.noise_floor import block_bootstrap_mean
 from real2sim.identification.parameters import PARAMETERS, Bounds
 
@@ -81,6 +81,26 @@ def test_fixed_parameters_do_not_move():
     z, cost, _, _ = minimise(problem, start, np.arange(1, 12), iterations=20, ftol=1e-10)
     assert z[0] == start[0]
     assert cost == pytest.approx(1.0, rel=0.2)
+
+
+def test_a_tangent_taken_before_spares_jacobians_while_it_foretells_steps():
+    columns = design(np.ones(12))
+    problem = Residuals(linear(columns, np.zeros(N)), BOUNDS, 13)
+    start = TRUTH + 0.3
+    r, jacobian = problem.with_jacobian(start, np.arange(12))
+    options = {"iterations": 20, "ftol": 1e-8, "keep": 0.3}
+    counts = []
+    for known in (None, Tangent(start + 1e-3, *problem.with_jacobian(start + 1e-3, np.arange(12)))):
+        before = problem.evaluations
+        z, _, _, _ = minimise(problem, start, np.arange(12), known=known, **options)
+        assert np.allclose(z, TRUTH, atol=1e-3)
+        counts.append(problem.evaluations - before)
+    assert counts[1] == counts[0] - 12
+    # one that foretells the wrong way is not believed
+    wrong = Tangent(start + 1e-3, r, -jacobian)
+    before = problem.evaluations
+    minimise(problem, start, np.arange(12), known=wrong, **options)
+    assert problem.evaluations - before == counts[0]
 
 
 def test_long_run_variance_of_an_autoregression_is_the_textbooks():

@@ -12,13 +12,15 @@ from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import Scales
-from real2sim.diagnosis.decide import further_price
+from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.identification import least_squares
+from real2sim.identification.least_squares import Tangent
 from real2sim.identification.parameters import Bounds
 
 T = TypeVar("T")
@@ -27,9 +29,8 @@ T = TypeVar("T")
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
-# A plain fit that leaves no more than this beyond noise (SD) has no gap that a cause could earn its place with; so many
-# refits then say what is next best
-QUIET_SIGMA, QUIET_REFITS = 1.0, 4
+# Refits that say what is next best where no cause could earn its place
+QUIET_REFITS = 4
 # Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
 OUT_OF_REACH = 2000.0
 # Starts tried, weaker and weaker, where MuJoCo gives up
@@ -63,16 +64,14 @@ class Pair:
 class Screened:
     """A hypothesis before its refit: predicted cost on the training trial and where to start.
 
-    ``change`` (n_r,) is what its starting value does to the residuals, ``own`` (n_r, p) the tangent of its parameters;
-    ``origin`` (12 + p,) is where that tangent holds.
+    ``tangent`` is what it was predicted with: residuals (n_r,) and Jacobian (n_r, 12 + p) at (12 + p,), the columns of
+    the strap and of effects fitted before being those without it.
     """
 
     effects: tuple[Placed, ...]
     predicted: float
     start: np.ndarray
-    change: np.ndarray
-    own: np.ndarray
-    origin: np.ndarray
+    tangent: Tangent
 
 
 @dataclass
@@ -146,14 +145,25 @@ class Search:
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
         self._noise: dict[tuple[str, bytes], tuple[float, float]] = {}
-        self._r0, self._j0 = np.empty(0), np.empty((0, 12))
+        self._screened_from: Tangent | None = None
 
-    def fit(self, effects: Sequence[Placed], start: np.ndarray, final: bool = False) -> Hypothesis:
-        """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged."""
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        start: np.ndarray,
+        final: bool = False,
+        tangent: Tangent | None = None,
+    ) -> Hypothesis:
+        """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged.
+
+        ``tangent``, where one was taken near the start, spares the first Jacobian as far as it foretells the start.
+        """
         residuals = self._residuals(effects, coarse=not final)
         kind = "final_" if final else ""
         iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
-        z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP)
+        z, _ = refit(
+            residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP, known=tangent
+        )
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds, coarse=not final)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
         # what cannot be simulated explains nothing
@@ -201,11 +211,12 @@ class Search:
 
         Once more where even the start without the strap's old parameters is better than what came out.
         """
-        fitted = self.fit(screened.effects, screened.start)
+        fitted = self.fit(screened.effects, screened.start, tangent=screened.tangent)
+        origin = screened.tangent.z
         if fitted.chi2[0] >= FAILED:
-            fitted = self.fit(screened.effects, screened.origin)
+            fitted = self.fit(screened.effects, origin)
         own = len(screened.effects[-1].effect.parameters)
-        return self.afresh(screened.effects, screened.origin[: len(screened.origin) - own], fitted)
+        return self.afresh(screened.effects, origin[: len(origin) - own], fitted)
 
     def afresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
         """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``."""
@@ -259,61 +270,74 @@ class Search:
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
         problem = self._residuals(base.effects)
-        r0, j0 = problem.with_jacobian(base.z, np.arange(len(base.z)))
-        self._r0, self._j0 = r0, j0
+        here = Tangent(base.z, *problem.with_jacobian(base.z, np.arange(len(base.z))))
+        self._screened_from = here
         out = []
         for placed in places:
             effects = (*base.effects, placed)
             if _conflict(effects):
                 continue
-            found = self._screen_one(effects, base, r0, j0)
+            found = self._screen_one(effects, here)
             if found is not None:
                 out.append(found)
         self.evaluations += problem.evaluations
         return sorted(out, key=lambda s: s.predicted)
 
-    def _screen_one(
-        self, effects: tuple[Placed, ...], base: Hypothesis, r0: np.ndarray, j0: np.ndarray
-    ) -> Screened | None:
+    def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
         placed = effects[-1]
         residuals = self._residuals(effects)
-        own = np.arange(len(base.z), len(residuals.lower))
+        own = np.arange(len(here.z), len(residuals.lower))
         best: Screened | None = None
         for start in placed.starts():
             for x in _weakened(placed, start):
-                z = np.concatenate([base.z, x])
+                z = np.concatenate([here.z, x])
                 r, jx = residuals.with_jacobian(z, own)
                 if np.isfinite(r).all() and np.isfinite(jx).all():
                     break
             else:
                 continue
             # prior rows of the base's own effects stand before those of the new one
-            rows = np.vstack([j0, np.zeros((len(r) - len(j0), j0.shape[1]))])
-            step, cost = _bounded_step(np.hstack([rows, jx]), r, z, residuals.lower, residuals.upper)
+            rows = np.pad(here.jacobian, ((0, len(r) - len(here.residuals)), (0, 0)))
+            tangent = Tangent(z, r, np.hstack([rows, jx]))
+            step, cost = _bounded_step(tangent, residuals.lower, residuals.upper)
             if best is None or cost < best.predicted:
-                best = Screened(effects, cost, z + step, r - np.pad(r0, (0, len(r) - len(r0))), jx, z)
+                best = Screened(effects, cost, z + step, tangent)
         self.evaluations += residuals.evaluations
         return best
 
-    def pairs(self, base: Hypothesis, screened: Sequence[Screened], most: int) -> list[Screened]:
-        """Predicted cost of pairs among screened single effects of the same base, best first, ``most`` of them."""
-        rows = len(self._r0)
+    def pairs(self, screened: Sequence[Screened], most: int) -> list[Screened]:
+        """Predicted cost of pairs among single effects of the last screening, best first, ``most`` of them."""
+        here = self._screened_from
+        assert here is not None, "pairs are made of what was screened"
         out = []
         for a, b in combinations(screened, 2):
             effects = (a.effects[-1], b.effects[-1])
             if effects[0].key == effects[1].key or _conflict(effects):
                 continue
-            r = self._r0 + a.change[:rows] + b.change[:rows]
-            jacobian = np.hstack([self._j0, a.own[:rows], b.own[:rows]])
-            own = [s.origin[len(base.z) :] for s in (a, b)]
-            z = np.concatenate([base.z, *own])
+            tangent = _together(here, a.tangent, b.tangent)
             limits = [placed.bounds() for placed in effects]
             lower = np.concatenate([np.log(self.pair.bounds.lower), *(low for low, _ in limits)])
             upper = np.concatenate([np.log(self.pair.bounds.upper), *(high for _, high in limits)])
-            step, cost = _bounded_step(jacobian, r, z, lower, upper)
-            out.append(Screened(effects, cost, z + step, r, jacobian[:, 12:], z))
+            step, cost = _bounded_step(tangent, lower, upper)
+            out.append(Screened(effects, cost, tangent.z + step, tangent))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
+
+
+def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
+    """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
+    rows, columns = here.jacobian.shape
+    both = (one, other)
+    changed = here.residuals + sum(t.residuals[:rows] - here.residuals for t in both)
+    # prior rows of one effect do not see the other
+    own = block_diag(*(t.jacobian[rows:, columns:] for t in both))
+    top = np.hstack([here.jacobian, *(t.jacobian[:rows, columns:] for t in both)])
+    bottom = np.hstack([np.zeros((len(own), columns)), own])
+    return Tangent(
+        np.concatenate([here.z, *(t.z[columns:] for t in both)]),
+        np.concatenate([changed, *(t.residuals[rows:] for t in both)]),
+        np.vstack([top, bottom]),
+    )
 
 
 def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
@@ -342,10 +366,9 @@ def _fresh_starts(placed: Placed, base: np.ndarray, stiffness: np.ndarray, dampi
     return np.array([np.concatenate([strap, base[12:], own]) for strap in straps for own in x])
 
 
-def _bounded_step(
-    jacobian: np.ndarray, r: np.ndarray, z: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, float]:
+def _bounded_step(tangent: Tangent, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
     """Gauss-Newton step, held inside the bounds and to a length that a tangent may claim, and the cost it predicts."""
+    z, r, jacobian = tangent.z, tangent.residuals, tangent.jacobian
     normal, slope = jacobian.T @ jacobian, jacobian.T @ r
     normal[np.diag_indices_from(normal)] *= 1 + 1e-6
     normal[np.diag_indices_from(normal)] += 1e-9
@@ -387,7 +410,8 @@ def attribute(
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
-    hypotheses = _alone(search, _shortlist(singles, settings), plain, settings)
+    quiet = calibration is not None and is_out_of_reach(plain.chi2, count, calibration)
+    hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
@@ -432,13 +456,14 @@ def _without_spikes(
 
 
 def _alone(
-    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict
+    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict, *, quiet: bool
 ) -> list[Hypothesis]:
     """Refits of single effects, best first; those that cannot be the answer any more are left out.
 
     Rivals of an effect that explains everything are tried whatever they promise: they are what it is mistaken for.
+    Where the plain fit is ``quiet``, no cause could earn its place: a few refits say what is next best.
     """
-    if search.excess(plain) < QUIET_SIGMA:
+    if quiet:
         shortlist = shortlist[:QUIET_REFITS]
     found: list[Hypothesis] = []
     for screened in shortlist:
@@ -508,7 +533,7 @@ def _pairs(
     only the single effects themselves on further axes.
     """
     pool = singles[: settings["pair_pool"]] if others else []
-    options = search.pairs(plain, pool, settings["pair_refits"])
+    options = search.pairs(pool, settings["pair_refits"])
     # an effect that promised nothing beside the whole gap may be all that is left once the other is there
     screens: list[list[Screened]] = []
     singly = _first_of_each(found, lambda h: h.names[0])

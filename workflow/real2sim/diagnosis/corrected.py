@@ -23,6 +23,8 @@ _STEP_LN = 1e-3
 _LEAST_SHARE = 0.02
 # Longest correction of an ln-parameter in one iteration, and the correction in SD at which it ends
 _LONGEST, _ENOUGH_SD = 0.7, 0.1
+# As long as no ln-parameter has moved further, what noise does there is reckoned from where it was simulated
+_NEAR = 0.1
 
 
 def noise_terms(
@@ -60,14 +62,17 @@ def corrected(
         return pair.train.whiten(shaken(np.exp(point)))
 
     z = hypothesis.z.copy()
+    seen, there = np.full(12, np.inf), (np.empty(0), np.empty((0, 0)))
     for iteration in range(iterations + 1):
         r, jacobian = problem.with_jacobian(z, everything)
         slope, normal = jacobian.T @ r, jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += 1e-9
-        noise_slope, noise_normal = noise_terms(noise, z[:12])
+        if np.abs(z[:12] - seen).max() > _NEAR:
+            seen, there = z[:12], noise_terms(noise, z[:12])
+        noise_slope, noise_normal = there
         if not np.isfinite(noise_normal).all():
             return z, np.asarray(np.linalg.inv(normal))
-        slope[:12] -= noise_slope
+        slope[:12] -= noise_slope + noise_normal @ (z[:12] - seen)
         inverse = _inverse(normal, noise_normal)
         # whitened residuals have unit variance: the meat of the sandwich is what they tell with their noise
         covariance = inverse @ normal @ inverse

@@ -22,6 +22,8 @@ NONE, UNKNOWN = "none", "unknown"
 ISOLATED = ("outliers",)
 # Probability from which an effect is still in the running
 IN_THE_RUNNING = 0.02
+# Probability below which the likeliest single law does not put `none` in question
+QUESTIONABLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,18 @@ def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mappi
     It must earn something in itself and, lest it mend the form of another, beside the gap.
     """
     return c["second_effect"] + c["second_effect_share"] * max(sum(plain) - sum(samples), 0.0)
+
+
+def is_out_of_reach(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> bool:
+    """Whether the plain plant leaves so little that even a law which explained all of it would not be believed.
+
+    Given chi-squared of the plain plant on both trials; two SD of what noise leaves are granted to that law.
+    """
+    weights = np.array([c["train_weight"], 1.0])
+    gain = float(weights @ (np.array(plain) - samples)) + 2 * float(
+        np.sqrt(weights**2 @ (2 * np.array(samples)))
+    )
+    return (c["none_gain"] - gain) / c["none_temperature"] > np.log(1 / QUESTIONABLE - 1)
 
 
 def _left(candidate: Candidate, c: Mapping[str, float]) -> float:

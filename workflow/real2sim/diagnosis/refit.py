@@ -110,14 +110,20 @@ def _strap_prior(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refit(
-    residuals: JointResiduals, start: np.ndarray, *, iterations: int, ftol: float, keep: float = 0.0
+    residuals: JointResiduals,
+    start: np.ndarray,
+    *,
+    iterations: int,
+    ftol: float,
+    keep: float = 0.0,
+    known: least_squares.Tangent | None = None,
 ) -> tuple[np.ndarray, float]:
     """Best point (12 + p,) from a start and its cost, all coordinates free but those whose bounds coincide.
 
-    ``keep``: see `least_squares.minimise`.
+    ``keep``, ``known``: see `least_squares.minimise`.
     """
     free = np.flatnonzero(residuals.upper - residuals.lower > NO_RANGE)
     z, cost, _, _ = least_squares.minimise(
-        residuals, start, free, iterations=iterations, ftol=ftol, keep=keep
+        residuals, start, free, iterations=iterations, ftol=ftol, keep=keep, known=known
     )
     return z, cost

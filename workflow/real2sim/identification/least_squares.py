@@ -8,6 +8,7 @@ search (scipy.optimize.least_squares, Branch, Coleman & Li 1999).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,6 +20,15 @@ from real2sim.identification.result import SearchResult
 STEP = 1e-4
 # Residual that stands for each one of a simulation that failed
 _FAILED = 1e3
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Residuals (n_r,) at a point (n,) and their Jacobian (n_r, n) there."""
+
+    z: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
 
 
 class Residuals:
@@ -85,17 +95,19 @@ def minimise(
     iterations: int,
     ftol: float,
     keep: float = 0.0,
+    known: Tangent | None = None,
 ) -> tuple[np.ndarray, float, list[tuple[int, float]], int]:
     """Trust-region search from ln-parameters (12,), of which those listed in ``free`` move.
 
     As long as a step's residuals are foretold by the Jacobian to a share ``keep`` of what they change, the Jacobian is
-    not taken anew but updated (Broyden 1965); 0 takes it anew at every step. Returns the best point, its cost,
-    (evaluations, best cost) per iteration and scipy's status.
+    not taken anew but updated (Broyden 1965); 0 takes it anew at every step. ``known`` is a Jacobian taken before near
+    the start, to go on from as if the search had begun there. Returns the best point, its cost, (evaluations, best
+    cost) per iteration and scipy's status.
     """
     history: list[tuple[int, float]] = []
     best_z, best_cost = start, np.inf
     asked: tuple[np.ndarray, np.ndarray] = (np.empty(0), np.empty(0))
-    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    last = None if known is None else Tangent(known.z[free], known.residuals, known.jacobian[:, free])
 
     def at(x: np.ndarray) -> np.ndarray:
         z = start.copy()
@@ -117,15 +129,15 @@ def minimise(
         return r
 
     def slope(x: np.ndarray) -> np.ndarray:
-        nonlocal known
+        nonlocal last
         # scipy asks for the slope where it last asked for the value
         r = asked[1] if np.array_equal(asked[0], x) else value(x)
-        jacobian = _updated(known, x, r, keep)
+        jacobian = _updated(last, x, r, keep)
         if jacobian is None and np.all(r == _FAILED):
             jacobian = np.zeros((len(r), len(free)))
         elif jacobian is None:
             jacobian = residuals.jacobian(at(x), r, free)
-        known = x.copy(), r, jacobian
+        last = Tangent(x.copy(), r, jacobian)
         return jacobian
 
     margin = 1e-6
@@ -145,18 +157,16 @@ def minimise(
     return best_z, best_cost, history, int(solution.status)
 
 
-def _updated(
-    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None, x: np.ndarray, r: np.ndarray, keep: float
-) -> np.ndarray | None:
+def _updated(last: Tangent | None, x: np.ndarray, r: np.ndarray, keep: float) -> np.ndarray | None:
     """The last point's Jacobian with a secant of rank one; None where it foretold the residuals too badly."""
-    if known is None or keep <= 0:
+    if last is None or keep <= 0:
         return None
-    way = x - known[0]
-    foretold = known[2] @ way
-    missed = r - known[1] - foretold
+    way = x - last.z
+    foretold = last.jacobian @ way
+    missed = r - last.residuals - foretold
     if way @ way == 0 or np.linalg.norm(missed) > keep * np.linalg.norm(foretold):
         return None
-    return np.asarray(known[2] + np.outer(missed, way / (way @ way)))
+    return np.asarray(last.jacobian + np.outer(missed, way / (way @ way)))
 
 
 def search(

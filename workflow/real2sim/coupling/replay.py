@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import mujoco
@@ -62,6 +63,8 @@ class Replay:
         Factors on inertial constants of the robot (`plant.INERTIAL_CONSTANTS`).
     drive
         Of the same path and time step, where another replay has made it already.
+    start_joints
+        Robot joints (6,) at the start, where another replay of the trial has found them already.
     threads
         That step the simulations of a call. Results are the same bits with any number.
 
@@ -75,6 +78,8 @@ class Replay:
         Most simulations per call.
     spec, model
         The plant, described and compiled.
+    start_joints
+        Robot joints (6,) at the start.
     """
 
     def __init__(
@@ -93,6 +98,7 @@ class Replay:
         nsim: int,
         scale: dict[str, float] | None = None,
         drive: PelvisDrive | None = None,
+        start_joints: np.ndarray | None = None,
         threads: int = 1,
     ):
         h = float(plant_settings["timestep_s"])
@@ -101,27 +107,23 @@ class Replay:
         if abs(self.stride * h - sample) > 1e-9:
             raise ValueError(f"plant.timestep_s = {h} does not divide the sample interval {sample}")
         self.drive = drive or pelvis_drive(time_s, pelvis_rotation, pelvis_position, h)
-        self._twin = load_robot(robot).compile()
-        try:
-            start = robot_pose_for(self._twin, start_rotation, start_position)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise InputError(
-                robot, "", str(error), "a twin that reaches the measured start pose", "Check its geometry."
-            ) from error
+        self._robot_file = robot
+        if start_joints is None:
+            start_joints = self._joints_for(start_rotation, start_position)
+        self.start_joints = start_joints
         self.spec = plant_spec(
             robot,
             robot_settings,
             plant_settings,
             rest,
             limits,
-            start,
+            start_joints,
             self.drive.reference_rotation,
             self.drive.reference_origin,
             scale=scale,
         )
         self._extend(self.spec)
         self.model = compiled(self.spec, robot)
-        self._robot_file = robot
         self.nstep = len(self.drive.position)
         command = np.zeros((self.nstep, self.model.nu))
         command[:, :6] = servo_command(self.drive)
@@ -135,12 +137,29 @@ class Replay:
         self._damping = self._batch.expand("dof_damping")
         self._armature = self._batch.expand("dof_armature")
         self._own_armature = self.model.dof_armature[self._dofs].copy()
-        self._start_pose = StartPose(start, start_rotation, start_position, rest)
+        self._start_pose = StartPose(start_joints, start_rotation, start_position, rest)
         self._start_state = self._state_at(self.drive.position[0], self.drive.velocity[0], self._start_pose)
         adr = self.model.sensor("position_interface_left").adr[0]
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
         self._record = {"sensordata": np.empty((nsim, self.nstep, self.model.nsensordata))}
+
+    @cached_property
+    def _twin(self) -> mujoco.MjModel:
+        """The robot alone."""
+        return load_robot(self._robot_file).compile()
+
+    def _joints_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+        try:
+            return robot_pose_for(self._twin, rotation, position)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise InputError(
+                self._robot_file,
+                "",
+                str(error),
+                "a twin that reaches the measured start pose",
+                "Check its geometry.",
+            ) from error
 
     def _extend(self, spec: mujoco.MjSpec) -> None:
         """Elements that the plain plant lacks: none."""

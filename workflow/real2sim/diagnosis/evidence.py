@@ -85,7 +85,7 @@ class Evidence:
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
     paper; ``coordinates`` (n, 6) are measured. What input chains and noise make of the pelvis' path is kept for the
-    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step.
+    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
     """
 
     trial: Trial
@@ -102,6 +102,7 @@ class Evidence:
     pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
+    start_joints: np.ndarray | None = None
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
@@ -129,7 +130,7 @@ class Evidence:
             self.drives[h] = pelvis_drive(trial.time_s, rotation, position, h)
         settings = self.settings | {"plant": self.settings["plant"] | {"timestep_s": h}}
         steps = trial.time_s[0] + h * np.arange(len(self.drives[h].position))
-        return EffectReplay(
+        replay = EffectReplay(
             effects=effects,
             context=replace(self.context, step_time_s=steps),
             scales=self.scales,
@@ -137,7 +138,10 @@ class Evidence:
             nsim=nsim,
             drive=self.drives[h],
             bases=self.bases,
+            start_joints=self.start_joints,
         )
+        self.start_joints = replay.start_joints
+        return replay
 
     def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
         """Residuals (m, n, c) simulated minus measured, gaps bridged by straight lines."""

@@ -29,6 +29,7 @@ from real2sim.diagnosis.attribute import (
     _first_of_each,
     _fresh_starts,
     _pairs,
+    _parabola,
     _promising,
     _pruned,
     _single,
@@ -1040,6 +1041,17 @@ def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
     start = placed.starts()[0]
     assert placed.weaker(start) == pytest.approx([start[0], 0.125, start[2], start[3]])
     assert placed.weaker(np.array([0.0, 0.06, -3.0, -3.0]))[1] == pytest.approx(0.05)
+
+
+def test_opposite_starts_of_one_parameter_tell_its_slopes():
+    base, line, bend = np.arange(5.0), np.full(5, 3.0), np.linspace(-1, 1, 5)
+    starts = np.array([[-0.2], [0.2]])
+    at = np.array([base + line * x + bend * x**2 for x in starts[:, 0]])
+    for x, slopes in zip(starts[:, 0], _parabola(starts, at, base), strict=True):
+        assert slopes[:, 0] == pytest.approx(line + 2 * bend * x)
+    assert _parabola(np.array([[0.05], [0.3]]), at, base) is None
+    assert _parabola(np.array([[0.0], [0.0]]), at, base) is None
+    assert _parabola(starts, np.where([[True], [False]], at, np.nan), base) is None
 
 
 def test_two_tangents_add_up_and_keep_the_prior_rows_of_each():

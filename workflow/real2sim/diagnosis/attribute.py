@@ -284,26 +284,31 @@ class Search:
         return sorted(out, key=lambda s: s.predicted)
 
     def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
+        """Predicted cost of the last effect beside the others, on the tangent at the best of its starts."""
         placed = effects[-1]
         residuals = self._residuals(effects)
-        own = np.arange(len(here.z), len(residuals.lower))
-        best: Screened | None = None
-        for start in placed.starts():
-            for x in _weakened(placed, start):
-                z = np.concatenate([here.z, x])
-                r, jx = residuals.with_jacobian(z, own)
-                if np.isfinite(r).all() and np.isfinite(jx).all():
-                    break
-            else:
-                continue
+        lower, upper = residuals.lower, residuals.upper
+        own = np.arange(len(here.z), len(lower))
+        tangents: list[Tangent] = []
+        for starts in _weakened(placed, placed.starts()):
+            z = np.hstack([np.tile(here.z, (len(starts), 1)), starts])
+            at = residuals.many(z)
             # prior rows of the base's own effects stand before those of the new one
-            rows = np.pad(here.jacobian, ((0, len(r) - len(here.residuals)), (0, 0)))
-            tangent = Tangent(z, r, np.hstack([rows, jx]))
-            step, cost = _bounded_step(tangent, residuals.lower, residuals.upper)
-            if best is None or cost < best.predicted:
-                best = Screened(effects, cost, z + step, tangent)
+            base = np.pad(here.residuals, (0, at.shape[1] - len(here.residuals)))
+            rows = np.pad(here.jacobian, ((0, at.shape[1] - len(here.residuals)), (0, 0)))
+            logarithmic = any(parameter.log for parameter in placed.effect.parameters)
+            slopes = None if logarithmic else _parabola(starts, at, base)
+            for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
+                columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
+                tangents.append(Tangent(z[i], at[i], np.hstack([rows, columns])))
+            if tangents:
+                break
         self.evaluations += residuals.evaluations
-        return best
+        steps = [_bounded_step(tangent, lower, upper) for tangent in tangents]
+        found = [
+            Screened(effects, cost, t.z + step, t) for t, (step, cost) in zip(tangents, steps, strict=True)
+        ]
+        return min(found, key=lambda s: s.predicted, default=None)
 
     def pairs(self, screened: Sequence[Screened], most: int) -> list[Screened]:
         """Predicted cost of pairs among single effects of the last screening, best first, ``most`` of them."""
@@ -324,6 +329,20 @@ class Search:
         return out
 
 
+def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.ndarray] | None:
+    """Slopes (n_r, 1) of residuals ``at`` (2, n_r) two opposite starts (2, 1) of one parameter that is nothing at zero.
+
+    They are those of the parabola through both and ``base`` (n_r,), which a law that is linear in its parameter hardly
+    leaves: no replay is asked for them. None for other starts, or where one cannot be simulated.
+    """
+    opposite = starts.shape == (2, 1) and starts[0, 0] == -starts[1, 0] != 0
+    if not opposite or not np.isfinite(at).all():
+        return None
+    odd = (at[1] - at[0]) / (starts[1, 0] - starts[0, 0])
+    even = ((at[0] + at[1]) / 2 - base) / starts[0, 0] ** 2
+    return [(odd + 2 * even * x)[:, None] for x in starts[:, 0]]
+
+
 def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
     """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
     rows, columns = here.jacobian.shape
@@ -341,7 +360,7 @@ def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
 
 
 def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
-    """A start (p,) of an effect, then weaker and weaker ones."""
+    """A start (p,) of an effect, or several (s, p), then weaker and weaker ones."""
     for _ in range(WEAKENINGS):
         yield x
         x = placed.weaker(x)

@@ -66,6 +66,8 @@ class Residuals:
 
     def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
         """As `with_jacobian`, where the residuals ``r`` (n_r,) at z are known."""
+        if len(free) == 0:
+            return np.empty((len(r), 0))
         points, step = self._neighbours(z, free)
         return self._slopes(z, free, r, self.many(points), step)
 

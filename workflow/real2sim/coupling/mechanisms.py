@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import mujoco
@@ -526,6 +527,8 @@ class BoucWen(PlannedForce):
     def __init__(self, elements: int):
         super().__init__(self._difference)
         self._springs = Elastoplastic(elements)
+        # beside other effects the same law is asked for again and again while those are tried
+        self._planned = lru_cache(maxsize=256)(self._plan)
 
     def build(self, spec, where):
         """Yielding tendons and a motor."""
@@ -543,7 +546,12 @@ class BoucWen(PlannedForce):
 
     def _difference(self, values, context, where, parameters):
         q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
-        return (self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[:, :, None]
+        path = q.tobytes()
+        return np.array([self._planned(tuple(row), path) for row in values.tolist()])[:, :, None]
+
+    def _plan(self, row: tuple[float, ...], path: bytes) -> np.ndarray:
+        values, q = np.array([row]), np.frombuffer(path)
+        return (self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[0]
 
 
 def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:

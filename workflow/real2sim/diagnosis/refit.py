@@ -21,7 +21,8 @@ NO_RANGE = 1e-4
 class Hypothesis:
     """Effects with fitted values: ``z`` (12 + p,) ln-parameters and searched numbers, chi-squared of both trials.
 
-    ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays.
+    ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays;
+    ``converged``: it was refitted to the end.
     """
 
     effects: tuple[Placed, ...]
@@ -29,6 +30,7 @@ class Hypothesis:
     chi2: tuple[float, float]
     j: tuple[float, float] = (np.nan, np.nan)
     evaluations: int = 0
+    converged: bool = False
 
     @property
     def key(self) -> str:

@@ -751,7 +751,8 @@ def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
         Hypothesis((outliers,), np.zeros(12), (8900.0, 8900.0)),
     ]
     search = _Stuck()
-    search.fit = lambda effects, start: Hypothesis(tuple(effects), start, (2900.0, 2900.0))
+    left = {True: (2900.0, 2900.0), False: (3900.0, 3900.0)}
+    search.fit = lambda effects, start: Hypothesis(tuple(effects), start, left[outliers in effects])
     search.mark_spikes = lambda best: best is found[0]
     more = _without_spikes(search, plain, found, list(places.values()))
     assert [h.names for h in more] == [("slack", "outliers"), ("outliers",), ("slack",)]
@@ -775,6 +776,20 @@ def test_what_stood_for_jumps_is_left_out_beside_them():
     more = _without_spikes(search, plain, found, list(places.values()))
     tried = {h.names for h in more} - {h.names for h in found}
     assert tried == {("slack", "tilt", "outliers"), ("slack", "outliers"), ("outliers",)}
+
+
+def test_what_a_longer_fit_gains_is_not_put_down_to_jumps():
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    slack = places["slack"]
+    plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
+    cut_short = Hypothesis((slack,), np.zeros(13), (3200.0, 3300.0))
+    search = _Stuck()
+    # wherever a fit of the slack goes on it comes to 2900; jumps add nothing
+    search.fit = lambda effects, start: Hypothesis(tuple(effects), start + 1, (2900.0, 2900.0))
+    search.mark_spikes = lambda best: True
+    more = _without_spikes(search, plain, [cut_short], list(places.values()))
+    alone = next(h for h in more if h.names == ("slack",))
+    assert alone.chi2 == (2900.0, 2900.0)
 
 
 class _Counting(_Stuck):

@@ -114,7 +114,7 @@ def plain_fit(evidence: Evidence, bounds: Bounds, start: np.ndarray, settings: d
     best, lowest = points[0], np.inf
     for point in points[np.argsort(costs)[:2]]:
         z, cost, _, _ = least_squares.minimise(
-            problem, point, np.arange(12), iterations=settings["iterations"], ftol=1e-4
+            problem, point, np.arange(12), iterations=settings["iterations"], ftol=1e-4, keep=KEEP
         )
         if cost < lowest:
             best, lowest = z, cost
@@ -484,7 +484,11 @@ def _without_spikes(
     sized = _first_of_each(sorted(kept, key=lambda h: sum(h.chi2)), lambda h: str(len(h.effects)))
     bases = [*(h for h in sized if len(h.effects) <= len(best.effects)), plain]
     more = [search.fit((*h.effects, *outliers), h.z) for h in bases]
-    return sorted([*kept, *more], key=lambda h: sum(h.chi2))
+    # what a set gains by being fitted on is not what the jumps explain: it is fitted on without them too
+    first = min(more, key=lambda h: sum(h.chi2))
+    if len(first.effects) > len(outliers):
+        more.append(search.fit(first.effects[: -len(outliers)], first.z))
+    return sorted(_best_of_each([*kept, *more]), key=lambda h: sum(h.chi2))
 
 
 def _alone(

@@ -7,6 +7,7 @@ Needs a finished run: its tables, and for the last part its fits. The parts:
 
 search         steps per second inside CMA-ES against a bare `Batch` loop on the same model
 threads        two threads against one; only right on an idle machine, which is looked at and said
+profiler       steps without the clock that MuJoCo's bindings install, against steps with it
 welded         cost of a trial at the accuracy bar against the first version, a loop closed by a weld (welded.py)
 sysid          `mujoco.sysid` on the same trial, model and residual, in an environment made for it
 least_squares  evaluations to the best cost of CMA-ES, over every trial and start
@@ -31,6 +32,7 @@ from pathlib import Path
 # two threads of BLAS beside another process cost a hundred times what they save
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import mujoco
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +41,7 @@ sys.path.insert(0, str(ROOT / "workflow"))
 from mujoco.batch import Batch
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
+from real2sim.coupling.plant import load_robot
 from real2sim.identification import cmaes, least_squares
 from real2sim.identification.fit import BATCH, restart_seed
 from real2sim.identification.parameters import Bounds
@@ -173,6 +176,28 @@ def threads(study: Study) -> dict:
         "busy": busy,
         "passes": None if busy else scaling >= 0.95,
     }
+
+
+def profiler(study: Study) -> dict:
+    """Time of a step without MuJoCo's profiler over that with it, in turns, of the plant and of the robot alone."""
+    plant = study.load(*study.trials()[0], 16)
+    robot = load_robot(study.robot).compile()
+    alone = Batch(robot, 16, 1)
+    rates: dict[str, Callable[[], float]] = {
+        "plant": lambda: bare_rate(plant, 16, 1, 1),
+        "robot": lambda: 1 / timed(lambda _: alone.rollout(2000), np.empty(16), 1),
+    }
+    out = {}
+    for name, rate in rates.items():
+        pairs = []
+        for _ in range(7):
+            mujoco.set_mjcb_time(None)  # the bindings' own clock
+            with_clock = rate()
+            mujoco.mj_resetCallbacks()
+            pairs.append(with_clock / rate())
+        out[name] = float(np.median(pairs))
+        print(f"profiler off, {name:6s} {out[name]:.2f} of the time of a step (median of 7 pairs)")
+    return out
 
 
 def timed(run: Callable[[np.ndarray], np.ndarray], parameters: np.ndarray, repeats: int) -> float:
@@ -399,7 +424,7 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=5, help="of least squares per trial")
     parser.add_argument("--environment", type=Path, help="keep the environment of mujoco.sysid here")
-    parts = ("search", "threads", "welded", "sysid", "least_squares")
+    parts = ("search", "threads", "profiler", "welded", "sysid", "least_squares")
     parser.add_argument("--parts", nargs="+", choices=parts, default=parts)
     options = parser.parse_args()
     source = ROOT / "config" / "config.yaml"
@@ -410,6 +435,7 @@ def main() -> None:
     run: dict[str, Callable[[], dict]] = {
         "search": lambda: search(study),
         "threads": lambda: threads(study),
+        "profiler": lambda: profiler(study),
         "welded": lambda: welded(study),
         "sysid": lambda: sysid(study, options.environment, weld_step(report)),
         "least_squares": lambda: least_squares_starts(study, options.starts),

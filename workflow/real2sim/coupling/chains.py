@@ -184,15 +184,26 @@ def earlier_pelvis(values, context):
     )
 
 
+# Rounds in which the bone's angles are found that its skin shows as the measured ones
+_BONE_ROUNDS = 4
+
+
 def soft_tissue(values, context):
     """Pelvis path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
-    # skin moves over bone in proportion to how far the pelvis has turned: translation and rotation artefact
-    start = context.pelvis_rotation[0]
-    turn = Rotation.from_matrix(start.T @ context.pelvis_rotation).as_rotvec()
-    moved = turn @ values[:9].reshape(3, 3).T
-    spun = turn @ values[9:].reshape(3, 3).T
-    rotation = context.pelvis_rotation @ Rotation.from_rotvec(-spun).as_matrix()
-    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", context.pelvis_rotation, moved)
+    # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
+    start, seen = context.pelvis_rotation[0], context.pelvis_rotation
+    shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
+    rotation = seen
+    for _ in range(_BONE_ROUNDS):
+        spun = _cardan(start.T @ rotation) @ turn.T
+        rotation = seen @ Rotation.from_rotvec(-spun).as_matrix()
+    moved = _cardan(start.T @ rotation) @ shift.T
+    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, moved)
+
+
+def _cardan(rotation):
+    """Cardan angles (n, 3) about x, y, z of rotations R_z R_y R_x (n, 3, 3)."""
+    return Rotation.from_matrix(rotation).as_euler("ZYX")[:, ::-1]
 
 
 def _at_times(paths, time_s, wanted):

@@ -39,6 +39,7 @@ from real2sim.coupling.mechanisms import (
     Stop,
     TurnedAxes,
     TurnedBack,
+    TurnedLaw,
     Where,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS
@@ -450,6 +451,17 @@ EFFECTS: tuple[Effect, ...] = (
         plant=TurnedAxes(),
     ),
     Effect(
+        "misalignment",
+        "interface",
+        "F = R K R' q + R D R' qdot: stiffness and damping turned by a rotation vector, the coordinates as they are",
+        tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz"),
+        "F",
+        _SINGLE,
+        scope="whole",
+        plant=TurnedLaw(),
+        form="law",
+    ),
+    Effect(
         "preload",
         "interface",
         "F = k (q - q0)",
@@ -472,10 +484,11 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "joint_limit",
         "interface",
-        "a stop inside the range that the limits allow",
+        "a stop inside the range that the limits allow: a spring and a damper that only push",
         (
             EffectParameter("place", "m|rad", 0.3, 1.2, (0.6, 0.85), _q, log=True),
-            EffectParameter("stiffness", "N/m|Nm/rad", 1.0, 200.0, (8.0,), _k, log=True),
+            EffectParameter("stiffness", "N/m|Nm/rad", 1.0, 5000.0, (8.0,), _k, log=True),
+            EffectParameter("damping_ratio", "1", 0.0, 1.0, (0.1,)),
         ),
         "A",
         "a slow ramp into the stop",
@@ -571,7 +584,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "soft_tissue",
         "input",
-        "pelvis markers move over the bone in proportion to the pelvis' rotation",
+        "pelvis markers move over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the start",
         (
             *(_linear(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
             *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 0.8) for a in "xyz" for b in "xyz"),
@@ -581,8 +594,9 @@ EFFECTS: tuple[Effect, ...] = (
         scope="whole",
         input_chain=chains.soft_tissue,
         remedy=(
-            "Correct the pelvis before it is replayed: with v its rotation vector from the start pose, take from its"
-            " position R (shift v) and from its rotation the vector turn v, both in the pelvis' frame"
+            "Correct the pelvis before it is replayed: with v its Cardan angles from the start pose, take from its"
+            " rotation R the vector turn v, in the pelvis' frame, and so on with v of what comes out until that stays;"
+            " take R (shift v) from its position"
         ),
     ),
     Effect(

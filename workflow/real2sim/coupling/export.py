@@ -70,6 +70,8 @@ def _tendons(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         tendon.damping = [model.tendon_damping[index], *model.tendon_dampingpoly[index]]
         tendon.springlength = model.tendon_lengthspring[index]
         tendon.springyield = model.tendon_springyield[index]
+        tendon.range = model.tendon_range[index]
+        tendon.solref_limit = model.tendon_solref_lim[index]
 
 
 def _bodies(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
@@ -115,6 +117,8 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
             "tendon_damping",
             "tendon_lengthspring",
             "tendon_springyield",
+            "tendon_range",
+            "tendon_solref_lim",
         ),
         _tendons,
     ),
@@ -278,6 +282,10 @@ def _exact(root: ET.Element, spec: mujoco.MjSpec) -> None:
         tendon = spec.tendon(element.get("name"))
         for name in ("stiffness", "damping", "springlength", "springyield"):
             _set(element, name, getattr(tendon, name))
+        if element.get("range") is not None:
+            _set(element, "range", tendon.range)
+            _set(element, "solreflimit", tendon.solref_limit)
+            _set(element, "solimplimit", tendon.solimp_limit)
     for element in root.iterfind("actuator/general"):
         actuator = spec.actuator(element.get("name"))
         for name in ("gainprm", "biasprm", "dynprm"):

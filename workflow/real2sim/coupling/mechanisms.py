@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from itertools import combinations
+from typing import ClassVar, Protocol
 
 import mujoco
 import numpy as np
@@ -374,6 +375,46 @@ class TurnedAxes:
             fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
 
 
+class TurnedLaw:
+    """Stiffness and damping of the strap turned by a rotation vector, its coordinates left as they are: values (m, 3).
+
+    What the turned matrices have beyond those of the strap is on tendons over each coordinate, and over sum and
+    difference of each two: it comes on top of whatever law an axis follows.
+    """
+
+    _blocks = ((0, 1, 2), (3, 4, 5))
+    _pairs = tuple(pair for block in _blocks for pair in combinations(block, 2))
+
+    def build(self, spec, where):
+        """Tendons of no stiffness."""
+        for axis in range(6):
+            _tendon(spec, self._name(where, axis), {STRAP_JOINTS[axis]: 1.0}, **self._loose)
+        for a, b in self._pairs:
+            for sign in (1, -1):
+                joints = {STRAP_JOINTS[a]: 1.0, STRAP_JOINTS[b]: float(sign)}
+                _tendon(spec, self._name(where, a, b, sign), joints, **self._loose)
+
+    _loose: ClassVar = {"stiffness": [1, 0, 0], "springlength": [0, 0]}
+
+    def _name(self, where: Where, *which: int) -> str:
+        return "_".join(["turned", *map(str, which), where.element])
+
+    def set(self, fields, where, parameters, values):
+        """What the turned matrices add."""
+        turn = Rotation.from_rotvec(values).as_matrix()
+        for field, first in (("tendon_stiffness", 0), ("tendon_damping", 6)):
+            for block in self._blocks:
+                plain = parameters[:, first + np.array(block)]
+                added = np.einsum("mij,mj,mkj->mik", turn, plain, turn)
+                for i, axis in enumerate(block):
+                    added[:, i, i] -= plain[:, i]
+                    fields[field][:, fields.tendon(self._name(where, axis))] = added[:, i, i]
+                for (i, a), (j, b) in combinations(enumerate(block), 2):
+                    for sign in (1, -1):
+                        index = fields.tendon(self._name(where, a, b, sign))
+                        fields[field][:, index] = sign * added[:, i, j] / 2
+
+
 def _pelvis_at_rest(model: mujoco.MjModel) -> np.ndarray:
     """Pelvis in the interface's axes at rest, (3, 3); the interface is level, so the last row is the vertical."""
     rest = np.zeros(9)
@@ -394,31 +435,63 @@ class TurnedBack:
 
 
 class RestShift:
-    """The axis' spring rests elsewhere: value (m, 1)."""
+    """The axis' strap rests elsewhere, with all laws that it follows there: value (m, 1). Set after other effects."""
 
     def build(self, spec, where):
         """Nothing: the rest pose is a field."""
 
     def set(self, fields, where, parameters, values):
-        """Spring reference of the joint."""
+        """Spring reference of the joint, and lengths at which tendons over it are slack or stop."""
         joint = fields.model.joint(STRAP_JOINTS[where.axes[0]])
         fields["qpos_spring"][:, joint.qposadr[0]] = values[:, 0]
+        for index, coefficient in _tendons_over(fields.model, joint.id):
+            fields["tendon_lengthspring"][:, index] += coefficient * values
+            fields["tendon_range"][:, index] += coefficient * values
+
+
+def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:
+    """Fixed tendons over a joint: index and coefficient."""
+    out = []
+    for index, (first, count) in enumerate(zip(model.tendon_adr, model.tendon_num, strict=True)):
+        for wrap in range(first, first + count):
+            if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT and model.wrap_objid[wrap] == joint:
+                out.append((index, float(model.wrap_prm[wrap])))
+    return out
+
+
+# Share of the acceleration at a stop that MuJoCo's constraint imposes by itself: with as little, the stop pushes as a
+# spring and a damper do, whatever else acts there
+_STOP_IMPEDANCE = 0.2
 
 
 class Stop:
-    """A stiff one-way spring beyond a coordinate, values are place and stiffness (m, 2)."""
+    """A spring and a damper that only push, beyond a coordinate: place, stiffness and damping ratio (m, 3).
+
+    The limit of a tendon, so that the damper pulls no one back. Its stiffness is held to what the time step bears.
+    """
 
     def build(self, spec, where):
-        """One tendon."""
-        joint = STRAP_JOINTS[where.axes[0]]
-        _tendon(spec, f"stop_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-_FAR, _FAR])
+        """One tendon, limited far off."""
+        _tendon(
+            spec,
+            f"stop_{where.element}",
+            {STRAP_JOINTS[where.axes[0]]: 1.0},
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[-_FAR, _FAR],
+            solref_limit=[-1.0, -1.0],
+            solimp_limit=[_STOP_IMPEDANCE, _STOP_IMPEDANCE, 0.001, 0.5, 2.0],
+        )
 
     def set(self, fields, where, parameters, values):
-        """Its free side is the dead band."""
+        """Its place, and rates in units of the inertia that comes against it."""
         index, axis = fields.tendon(f"stop_{where.element}"), where.axes[0]
-        end = 1 if where.side > 0 else 0
-        fields["tendon_lengthspring"][:, index, end] = where.side * values[:, 0]
-        fields["tendon_stiffness"][:, index] = np.minimum(values[:, 1], fields.stiffest(axis))
+        place, stiffness, ratio = values.T
+        limits, rates = fields["tendon_range"], fields["tendon_solref_lim"]
+        limits[:, index] = -_FAR, _FAR
+        limits[:, index, 1 if where.side > 0 else 0] = where.side * place
+        inertia = fields.scales.inertia[axis]
+        square = np.minimum(stiffness, 2 * fields.stiffest(axis)) / inertia
+        rates[:, index, 0], rates[:, index, 1] = -square, -2 * ratio * np.sqrt(square)
 
 
 class InterfaceMass:
@@ -545,9 +618,11 @@ class BoucWen(PlannedForce):
         return np.stack([values[:, 0] * travel * self._springs.travels.mean(), travel], axis=1)
 
     def _difference(self, values, context, where, parameters):
-        q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
-        path = q.tobytes()
-        return np.array([self._planned(tuple(row), path) for row in values.tolist()])[:, :, None]
+        # (n,) as measured, the same for all, or (m, n) as simulated
+        q = CubicSpline(context.time_s, context.coordinates[..., where.axes[0]], axis=-1)(context.step_time_s)
+        paths = [row.tobytes() for row in np.broadcast_to(q, (len(values), q.shape[-1]))]
+        planned = [self._planned(tuple(row), path) for row, path in zip(values.tolist(), paths, strict=True)]
+        return np.array(planned)[:, :, None]
 
     def _plan(self, row: tuple[float, ...], path: bytes) -> np.ndarray:
         values, q = np.array([row]), np.frombuffer(path)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
-from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, Scales
+from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, RestShift, Scales, Stop
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
@@ -77,6 +77,11 @@ class EffectReplay(Replay):
         self.effects = tuple(effects)
         self._context, self._scales = context, scales
         self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
+        self._stopped = any(isinstance(placed.effect.plant, Stop) for placed in self.effects)
+        # a strap that rests elsewhere takes its other laws along: it is set last
+        rests = [isinstance(placed.effect.plant, RestShift) for placed in self.effects]
+        self._shifted = any(rests)
+        self._order = sorted(range(len(rests)), key=lambda i: rests[i])
         forces = [placed.effect.plant for placed in self.effects]
         self._rounds = max((f.rounds for f in forces if isinstance(f, PlannedForce)), default=1)
         super().__init__(**replay)
@@ -284,7 +289,12 @@ class EffectReplay(Replay):
             self._armature[:m, others] = self.model.dof_armature[others]
         if self._sightings:
             self._set_up(m)
-        for i, (placed, values) in enumerate(zip(self.effects, self._values, strict=True)):
+        if self._shifted and self.model.ntendon:
+            # the lengths of the last call are shifted already, and effects write only what they change
+            for name in ("tendon_lengthspring", "tendon_range"):
+                fields[name][:] = getattr(self.model, name)
+        for i in self._order:
+            placed, values = self.effects[i], self._values[i]
             if placed.effect.plant is not None:
                 placed.effect.plant.set(fields, placed.where, self._parameters, values)
             if i in self._basis or i in self._columns_of:
@@ -293,7 +303,16 @@ class EffectReplay(Replay):
             # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
             # friction holds would creep by what is missing. As an inertia proper the same motion is held.
             self._armature[:m] += self.model.opt.timestep * self._damping[:m]
+        if self._stopped:
+            self._weigh(m)
         return super()._roll(m)
+
+    def _weigh(self, m: int) -> None:
+        """Let a stop know the inertia that comes against it with these dampers."""
+        batch = self._batch
+        state = [batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+        batch.set_const(np.arange(m))
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = state
 
     def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:
         # controls start anew at every call: the first effect that adds to them restores the plain command

@@ -443,11 +443,11 @@ def attribute(
         hypotheses += more
         if near:
             hypotheses += _swapped(search, hypotheses, everything, settings)
-            grown = _grow(search, hypotheses, promising, settings, progress)
+            grown = _grow(search, hypotheses, promising, everything, settings, progress)
             hypotheses += grown
             if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
                 hypotheses += _swapped(search, hypotheses, everything, settings)
-            hypotheses += _swapped_together(search, hypotheses, everything, settings)
+            hypotheses += _swapped_together(search, hypotheses, everything)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.evaluations)
@@ -581,7 +581,7 @@ def _pairs(
         promising = [p for p in everything if p.effect.name == found[0].names[0]]
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
     for single in singly[: settings["spread_refits"]]:
-        options += search.screen(single, _elsewhere(single, singles))[:1]
+        options += search.screen(single, _elsewhere(single, [s.effects[-1] for s in singles]))[:1]
     out: list[Hypothesis] = []
     seen = set()
     for option in sorted(options, key=lambda s: s.predicted):
@@ -615,11 +615,12 @@ def _first_of_each(items: Sequence[T], name: Callable[[T], str]) -> list[T]:
     return list(first.values())
 
 
-def _elsewhere(single: Hypothesis, screened: Sequence[Screened]) -> list[Placed]:
-    """Screened places of a single hypothesis' effect on other axes, in the same form."""
-    effect, axes = single.effects[0].effect, set(single.effects[0].where.axes)
-    places = [s.effects[-1] for s in screened]
-    return [p for p in places if p.effect is effect and axes.isdisjoint(p.where.axes) and axes]
+def _elsewhere(hypothesis: Hypothesis, places: Iterable[Placed]) -> list[Placed]:
+    """Places of a hypothesis' effects on axes that they do not act on yet, in the same form."""
+    taken: dict[int, set[int]] = {}
+    for member in hypothesis.effects:
+        taken.setdefault(id(member.effect), set()).update(member.where.axes)
+    return [p for p in places if taken.get(id(p.effect)) and taken[id(p.effect)].isdisjoint(p.where.axes)]
 
 
 def _keys(effects: Sequence[Placed]) -> frozenset[str]:
@@ -664,7 +665,7 @@ def _swapped(
 
 
 def _swapped_together(
-    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed]
 ) -> list[Hypothesis]:
     """The best set, where its members are effects of single axes that are mistaken for each other, as one effect.
 
@@ -684,7 +685,8 @@ def _swapped_together(
         if len(rivals) < len(best.effects) or _keys(rivals) in known or _conflict(rivals):
             continue
         starts.append(_one_by_one(search, best, rivals))
-    starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
+    # friction that never slips has no slope to be started on: every effect is refitted, from its best form
+    starts = _first_of_each(sorted(starts, key=lambda start: start[2]), lambda start: start[0][0].effect.name)
     return [search.fit(effects, z) for effects, z, _ in starts]
 
 
@@ -752,16 +754,21 @@ def _grow(
     search: Search,
     found: Sequence[Hypothesis],
     promising: Sequence[Placed],
+    everything: Sequence[Placed],
     settings: dict,
     progress: Callable[[str], None],
 ) -> list[Hypothesis]:
-    """Third and further effects (or axes of one) on top of the best set, while each earns much of what is left."""
+    """Third and further effects (or axes of one) on top of the best set, while each earns much of what is left.
+
+    Tried are those that were promising beside the first effect, and more axes of those that the set holds.
+    """
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     while len(best.effects) < settings["most_effects"]:
         if search.is_noise(best):
             break
-        options = search.screen(best, _without(promising, best))[: settings["pair_refits"]]
+        places = {p.key: p for p in (*promising, *_elsewhere(best, everything))}
+        options = search.screen(best, _without(list(places.values()), best))[: settings["pair_refits"]]
         more = [search.fit_screened(option) for option in options]
         out += more
         grown = min([best, *more], key=lambda h: sum(h.chi2))

@@ -416,6 +416,21 @@ def test_a_reaction_is_planned_from_the_motion_that_it_makes():
     assert np.linalg.norm(applied - asked) < 0.05 * np.linalg.norm(asked)
 
 
+def test_a_reaction_does_not_go_on_with_the_jolt_of_the_first_sample():
+    context = replay([], seconds=3)._context
+    still = np.zeros((1, *context.coordinates.shape))
+    still[:, 1:, 0] = 1e-3
+    calm = replace(context, coordinates=still, rates=np.zeros_like(still))
+    jolted = replace(calm, rates=np.zeros_like(still))
+    jolted.rates[:, 0] = 0.1
+    values = np.array([[1.0, 0.2, 0.3]])
+    a, b = (chains.reaction(values, c, None, PRIOR[None])[0] for c in (calm, jolted))
+    # it counts as one of the samples that the start is the mean of, and for its own instant
+    jolt = 0.1 * PRIOR[6]
+    assert np.abs(a - b)[:10].max() < 1.1 * jolt / context.start
+    assert np.abs(a - b).max() < 0.2 * jolt
+
+
 def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
     effect = next(e for e in EFFECTS if e.form == "_quadratic")
     placed = Placed(effect, effect.places()[0], SCALES)
@@ -1224,7 +1239,10 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
         _case("C0004", "null", [], "slack", tmp_path),
         _case("C0005", "out_of_library", ["push"], UNKNOWN, tmp_path),
         _case("C0006", "mixture", ["slack", "coulomb"], "slack", tmp_path),
+        _case("C0007", "mixture", ["slack", "creep"], "slack", tmp_path),
     ]
+    for effect, alone in zip(made[-1][0]["effects"], (1.0, 0.01), strict=True):
+        effect["visibility"] = {"alone": alone}
     truth, answers = tmp_path / "truth.json", tmp_path / "answers.json"
     truth.write_text(json.dumps({"cases": [t for t, _ in made]}))
     answers.write_text(json.dumps({"answers": [str(path) for _, path in made]}))
@@ -1237,6 +1255,7 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     assert not claims["false alarm on null"]["met"]
     assert claims["out of library: unknown"]["value"] == 1.0
     assert claims["mixture: exact set"]["value"] == 0.0
+    assert claims["mixture of two that each can be seen: exact set"]["n"] == 1
     assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004"}
     assert [row["name"] for row in score["baselines"]] == ["this diagnosis", "always none", "AIC"]
     assert score["baselines"][1] == {

@@ -277,13 +277,16 @@ def reaction(values, context, where, parameters):
     stiffness, damping = parameters[:, None, :3], parameters[:, None, 6:9]
     force = -(stiffness * context.coordinates[..., :3] + damping * context.rates[..., :3])
     world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
+    # before the trial the person stood as in its first moments; the very first sample is a jolt of the simulation
+    before = world[:, : context.start].mean(axis=1)
     out = np.empty((len(values), len(context.step_time_s), 2))
     dt = context.step_time_s[1] - context.step_time_s[0]
     for i, (gain, delay, smoothing) in enumerate(values):
         decay = np.exp(-dt / max(smoothing, 1e-9))
         for c in range(2):
-            late = np.interp(context.step_time_s - delay, context.time_s, world[i, :, c])
-            out[i, :, c] = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * late[0]])[0]
+            first = before[i, c]
+            late = np.interp(context.step_time_s - delay, context.time_s, world[i, :, c], left=first)
+            out[i, :, c] = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * first])[0]
     return out
 
 

@@ -1231,6 +1231,20 @@ def test_members_of_the_best_set_are_tried_alone_from_where_they_stand_in_it():
     assert found[0].chi2 == (100.0, 100.0), "from the pair's force, no longer stuck"
 
 
+def test_the_verdict_is_the_likeliest_effect_whatever_is_beside_it():
+    plain = Candidate((), 0, (100_000.0, 100_000.0))
+    candidates = [
+        Candidate(("sync_offset",), 1, (2900.0, 2950.0)),
+        Candidate(("filter_lag",), 1, (2900.0, 2953.0)),
+        Candidate(("filter_lag", "outliers"), 1, (2900.0, 2865.0)),
+    ]
+    decision = decide(plain, candidates, (2880, 2880), CALIBRATION)
+    assert decision.sets[0] > decision.sets[1] > decision.sets[2] > 0.1
+    assert max(decision.probabilities, key=lambda name: decision.probabilities[name]) == "filter_lag"
+    assert decision.verdict == "filter_lag"
+    assert decision.chosen == 1
+
+
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     made = [
         _case("C0001", "in_library", ["slack"], "slack", tmp_path),

@@ -167,9 +167,11 @@ def decide(
     sets = p[: len(candidates)]
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
-    named = np.where(makeshift, -1.0, sets)
-    # the likeliest effects, and of their sets the likeliest
-    likeliest = np.where(makeshift, -1.0, together)
+    # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
+    # likeliest places and forms
+    open_to = ~makeshift & _holding(_likeliest_effect(candidates, sets, makeshift), candidates)
+    named = np.where(open_to, sets, -1.0)
+    likeliest = np.where(open_to, together, -1.0)
     chosen = int(np.lexsort((named, likeliest))[-1]) if not makeshift.all() else None
     if chosen is None or max(probabilities[NONE], probabilities[UNKNOWN]) >= effects:
         verdict = NONE if probabilities[NONE] >= probabilities[UNKNOWN] else UNKNOWN
@@ -177,6 +179,21 @@ def decide(
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
     return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+
+
+def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, makeshift: np.ndarray) -> str | None:
+    """Effect whose sets are the likeliest together; None without a set."""
+    held: dict[str, float] = {}
+    for candidate, of_set, makes_do in zip(candidates, sets, makeshift, strict=True):
+        if not makes_do:
+            for name in set(candidate.names):
+                held[name] = held.get(name, 0.0) + float(of_set)
+    return max(held, key=lambda name: held[name], default=None)
+
+
+def _holding(name: str | None, candidates: Sequence[Candidate]) -> np.ndarray:
+    """Which sets hold an effect."""
+    return np.array([name in candidate.names for candidate in candidates], dtype=bool)
 
 
 def _earned(

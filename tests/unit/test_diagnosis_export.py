@@ -101,6 +101,16 @@ def test_several_effects_at_half_the_step_survive_too(tmp_path):
     )
 
 
+@pytest.mark.parametrize("law", ["slack", "one_sided", "joint_limit", "relaxation"])
+def test_a_strap_that_rests_elsewhere_is_exported_with_its_other_laws(law, tmp_path):
+    model, paths = acting([named("preload"), named(law)])
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
+
+
 def test_a_robot_with_shapes_needs_no_file_of_theirs(tmp_path, monkeypatch):
     own = tmp_path / "own.xml"
     text = ROBOT.read_text()

@@ -230,6 +230,8 @@ _MASS = "the same motion with a plate of known mass on the interface"
 # An axis that hardly slips is fitted as a stiff one, and friction beyond its force in the plain fit holds it
 _FRICTION = EffectParameter("force", "N|Nm", 0.002, 15.0, (0.05, 0.3), _force, log=True)
 
+_TURN = tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz")
+
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         "slack",
@@ -444,7 +446,7 @@ EFFECTS: tuple[Effect, ...] = (
         "misalignment",
         "interface",
         "interface axes turned by a rotation vector",
-        tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz"),
+        _TURN,
         "F",
         _SINGLE,
         scope="whole",
@@ -454,7 +456,7 @@ EFFECTS: tuple[Effect, ...] = (
         "misalignment",
         "interface",
         "F = R K R' q + R D R' qdot: stiffness and damping turned by a rotation vector, the coordinates as they are",
-        tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz"),
+        _TURN,
         "F",
         _SINGLE,
         scope="whole",

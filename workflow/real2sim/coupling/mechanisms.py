@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -335,30 +335,37 @@ def _set_branch(fields: Fields, name: str, stiffness: np.ndarray, time_constant:
     fields["dof_damping"][:, int(fields.model.joint(name).dofadr[0])] = stiffness * time_constant
 
 
-class Coupling:
-    """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone.
+# Tendons over the sum and the difference of two coordinates: what they pull with opposite signs cancels but for the
+# product of the two
+_PRODUCT = ((1, "sum"), (-1, "difference"))
 
-    Two tendons over the sum and the difference of the (scaled) coordinates, with opposite signs: their diagonal terms
-    cancel, the product term is left.
-    """
+
+def _product(spec: mujoco.MjSpec, ending: str, axes: tuple[int, int]) -> None:
+    """Both tendons over two strap joints."""
+    a, b = (STRAP_JOINTS[i] for i in axes)
+    for sign, name in _PRODUCT:
+        _tendon(spec, f"{name}_{ending}", {a: 1.0, b: float(sign)}, stiffness=[0, 0, 0], springlength=[0, 0])
+
+
+def _set_product(fields: Fields, ending: str, field: str, values: np.ndarray) -> None:
+    """Off-diagonal stiffness or damping (m,): half of it on each."""
+    for sign, name in _PRODUCT:
+        fields[field][:, fields.tendon(f"{name}_{ending}")] = sign * values / 2
+
+
+class Coupling:
+    """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone."""
 
     def __init__(self, name: str):
         self._field = name
 
     def build(self, spec, where):
         """Both tendons."""
-        a, b = (STRAP_JOINTS[i] for i in where.axes)
-        for sign, name in ((1.0, "sum"), (-1.0, "difference")):
-            _tendon(
-                spec, f"{name}_{where.element}", {a: 1.0, b: sign}, stiffness=[1, 0, 0], springlength=[0, 0]
-            )
+        _product(spec, where.element, where.axes)
 
     def set(self, fields, where, parameters, values):
         """Half the value on each, with opposite signs."""
-        for sign, name in ((1, "sum"), (-1, "difference")):
-            index = fields.tendon(f"{name}_{where.element}")
-            fields["tendon_stiffness"][:, index] = 0
-            fields[self._field][:, index] = sign * values[:, 0] / 2
+        _set_product(fields, where.element, self._field, values[:, 0])
 
 
 class TurnedAxes:
@@ -378,26 +385,23 @@ class TurnedAxes:
 class TurnedLaw:
     """Stiffness and damping of the strap turned by a rotation vector, its coordinates left as they are: values (m, 3).
 
-    What the turned matrices have beyond those of the strap is on tendons over each coordinate, and over sum and
-    difference of each two: it comes on top of whatever law an axis follows.
+    What the turned matrices have beyond those of the strap is on tendons over each coordinate and over each two: it
+    comes on top of whatever law an axis follows.
     """
 
     _blocks = ((0, 1, 2), (3, 4, 5))
-    _pairs = tuple(pair for block in _blocks for pair in combinations(block, 2))
 
     def build(self, spec, where):
         """Tendons of no stiffness."""
         for axis in range(6):
-            _tendon(spec, self._name(where, axis), {STRAP_JOINTS[axis]: 1.0}, **self._loose)
-        for a, b in self._pairs:
-            for sign in (1, -1):
-                joints = {STRAP_JOINTS[a]: 1.0, STRAP_JOINTS[b]: float(sign)}
-                _tendon(spec, self._name(where, a, b, sign), joints, **self._loose)
+            joint = {STRAP_JOINTS[axis]: 1.0}
+            _tendon(spec, self._name(where, axis), joint, stiffness=[0, 0, 0], springlength=[0, 0])
+        for block in self._blocks:
+            for a, b in combinations(block, 2):
+                _product(spec, self._name(where, a, b), (a, b))
 
-    _loose: ClassVar = {"stiffness": [1, 0, 0], "springlength": [0, 0]}
-
-    def _name(self, where: Where, *which: int) -> str:
-        return "_".join(["turned", *map(str, which), where.element])
+    def _name(self, where: Where, *axes: int) -> str:
+        return "_".join(["turned", *(AXES[a] for a in axes), where.element])
 
     def set(self, fields, where, parameters, values):
         """What the turned matrices add."""
@@ -405,14 +409,11 @@ class TurnedLaw:
         for field, first in (("tendon_stiffness", 0), ("tendon_damping", 6)):
             for block in self._blocks:
                 plain = parameters[:, first + np.array(block)]
-                added = np.einsum("mij,mj,mkj->mik", turn, plain, turn)
+                added = np.einsum("mij,mj,mkj->mik", turn, plain, turn) - plain[:, :, None] * np.eye(3)
                 for i, axis in enumerate(block):
-                    added[:, i, i] -= plain[:, i]
                     fields[field][:, fields.tendon(self._name(where, axis))] = added[:, i, i]
                 for (i, a), (j, b) in combinations(enumerate(block), 2):
-                    for sign in (1, -1):
-                        index = fields.tendon(self._name(where, a, b, sign))
-                        fields[field][:, index] = sign * added[:, i, j] / 2
+                    _set_product(fields, self._name(where, a, b), field, added[:, i, j])
 
 
 def _pelvis_at_rest(model: mujoco.MjModel) -> np.ndarray:
@@ -446,7 +447,8 @@ class RestShift:
         fields["qpos_spring"][:, joint.qposadr[0]] = values[:, 0]
         for index, coefficient in _tendons_over(fields.model, joint.id):
             fields["tendon_lengthspring"][:, index] += coefficient * values
-            fields["tendon_range"][:, index] += coefficient * values
+            if fields.model.tendon_limited[index]:
+                fields["tendon_range"][:, index] += coefficient * values
 
 
 def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:
@@ -618,11 +620,9 @@ class BoucWen(PlannedForce):
         return np.stack([values[:, 0] * travel * self._springs.travels.mean(), travel], axis=1)
 
     def _difference(self, values, context, where, parameters):
-        # (n,) as measured, the same for all, or (m, n) as simulated
-        q = CubicSpline(context.time_s, context.coordinates[..., where.axes[0]], axis=-1)(context.step_time_s)
-        paths = [row.tobytes() for row in np.broadcast_to(q, (len(values), q.shape[-1]))]
-        planned = [self._planned(tuple(row), path) for row, path in zip(values.tolist(), paths, strict=True)]
-        return np.array(planned)[:, :, None]
+        q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+        path = q.tobytes()
+        return np.array([self._planned(tuple(row), path) for row in values.tolist()])[:, :, None]
 
     def _plan(self, row: tuple[float, ...], path: bytes) -> np.ndarray:
         values, q = np.array([row]), np.frombuffer(path)

@@ -169,7 +169,8 @@ def decide(
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
     # likeliest places and forms
-    open_to = ~makeshift & _holding(_likeliest_effect(candidates, sets, makeshift), candidates)
+    likeliest_effect = _likeliest_effect(candidates, sets, makeshift)
+    open_to = ~makeshift & np.array([likeliest_effect in x.names for x in candidates], dtype=bool)
     named = np.where(open_to, sets, -1.0)
     likeliest = np.where(open_to, together, -1.0)
     chosen = int(np.lexsort((named, likeliest))[-1]) if not makeshift.all() else None
@@ -189,11 +190,6 @@ def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, makeshi
             for name in set(candidate.names):
                 held[name] = held.get(name, 0.0) + float(of_set)
     return max(held, key=lambda name: held[name], default=None)
-
-
-def _holding(name: str | None, candidates: Sequence[Candidate]) -> np.ndarray:
-    """Which sets hold an effect."""
-    return np.array([name in candidate.names for candidate in candidates], dtype=bool)
 
 
 def _earned(

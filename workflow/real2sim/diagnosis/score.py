@@ -186,12 +186,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         _claim("in library, rho >= 0.2: answered", answered, ">= 90 %", lambda v: v >= 0.90),
         _claim("form mismatch: family", top(other), ">= 85 %", lambda v: v >= 0.85),
         _claim("mixture: both in the top 3", among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
-        _claim(
-            "mixture: exact set",
-            exact(mixed),
-            ">= 65 %",
-            lambda v: v >= 0.65,
-        ),
+        _claim("mixture: exact set", exact(mixed), ">= 65 %", lambda v: v >= 0.65),
         _claim(
             "mixture of two that each can be seen: both in the top 3",
             among(seen, 3),

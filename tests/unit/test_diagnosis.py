@@ -702,6 +702,8 @@ def _tangent(z):
 class _Stuck(Search):
     """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
+    samples = (2880, 2880)
+
     def __init__(self, start: float = 0.01, cost: float = FAILED):
         self.asked = []
         self.start, self.cost = start, cost
@@ -953,6 +955,28 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
         quiet=False,
     )
     assert search.refitted == [*first, "lugre", "sync_offset"]
+
+
+@pytest.mark.parametrize(("left", "skipped"), [(5000.0, True), (12_000.0, False)])
+def test_what_explains_nearly_all_needs_no_refit_of_what_promises_a_tenth_of_it(left, skipped):
+    """Left of a gap of 180 000: 4 240, or 18 240 and so a tenth; the other promises to leave 40 000 of 90 000."""
+    settings = CONFIG["diagnosis"]["search"]
+    n = 2880.0
+    plain = Hypothesis((), np.zeros(12), (90_000.0 + n, 90_000.0 + n))
+    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    first = ["coulomb", "tilt", "slack", "stiffening", "added_mass"]
+
+    class Leaves(_Counting):
+        def fit_screened(self, screened):
+            fitted = super().fit_screened(screened)
+            coulomb = fitted.names == ("coulomb",)
+            return replace(fitted, chi2=(left, left)) if coulomb else fitted
+
+    search = Leaves(100.0)
+    shortlist = [_promise(places[name], 3000.0) for name in first]
+    shortlist += [_promise(places["preload"], 40_000.0), _promise(places["lugre"], 40_000.0)]
+    _alone(search, shortlist, plain, settings, quiet=False)
+    assert search.refitted == [*first, *([] if skipped else ["preload"]), "lugre"]
 
 
 @pytest.mark.parametrize("others", [True, False])

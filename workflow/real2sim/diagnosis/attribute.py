@@ -33,6 +33,8 @@ FAILED = 1e12
 QUIET_REFITS = 4
 # Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
 OUT_OF_REACH = 2000.0
+# The same where it leaves less than this share of the gap, and others promise to leave so many times as much
+NEARLY_ALL, FAR_BEHIND = 0.05, 10.0
 # Starts tried, weaker and weaker, where MuJoCo gives up
 WEAKENINGS = 3
 # Strengths beyond an effect's own starts that are tried by their cost alone
@@ -298,7 +300,13 @@ class Search:
             rows = np.pad(here.jacobian, ((0, at.shape[1] - len(here.residuals)), (0, 0)))
             logarithmic = any(parameter.log for parameter in placed.effect.parameters)
             slopes = None if logarithmic else _parabola(starts, at, base)
-            for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
+            borne = np.flatnonzero(np.isfinite(at).all(axis=1))
+            if slopes is None and len(borne):
+                # own slopes cost a replay each: they are taken where the strap alone can make most of the start
+                plain = [Tangent(here.z, at[i], rows) for i in borne]
+                promised = [_bounded_step(t, lower[: len(here.z)], upper[: len(here.z)])[1] for t in plain]
+                borne = borne[[int(np.argmin(promised))]]
+            for i in borne:
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
                 tangents.append(Tangent(z[i], at[i], np.hstack([rows, columns])))
             if tangents:
@@ -504,12 +512,20 @@ def _alone(
     found: list[Hypothesis] = []
     for screened in shortlist:
         best = min(found, key=lambda h: sum(h.chi2), default=plain)
-        told = len(found) >= settings["pair_rivals"] and search.is_noise(best)
         rival = any(_alike(placed, screened.effects[-1]) for placed in best.effects)
-        if told and not rival and screened.predicted > best.chi2[0] + OUT_OF_REACH:
+        if len(found) >= settings["pair_rivals"] and not rival and _behind(search, screened, best, plain):
             continue
         found.append(_single(search, screened, plain))
     return sorted(_beside_best(search, found), key=lambda h: sum(h.chi2))
+
+
+def _behind(search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis) -> bool:
+    """Whether an effect promises so little beside a single one that explains all or nearly all that it is no answer."""
+    n = search.samples[0]
+    left, gap = (sum(h.chi2) - sum(search.samples) for h in (best, plain))
+    if search.is_noise(best):
+        return screened.predicted > best.chi2[0] + OUT_OF_REACH
+    return left < NEARLY_ALL * gap and screened.predicted - n > FAR_BEHIND * (best.chi2[0] - n) + OUT_OF_REACH
 
 
 def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:

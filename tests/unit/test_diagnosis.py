@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from real2sim.coupling.mechanisms import PlannedForce, Scales, bouc_wen
 from real2sim.coupling.plant import RestPose, robot_pose_for
 from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
+from real2sim.diagnosis import stage
 from real2sim.diagnosis.attribute import (
     FAILED,
     OUT_OF_REACH,
@@ -597,9 +599,9 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         },
         "baselines": {"AIC": verdict},
         "considered": [
-            {"effects": ["slack"], "J_held_out": 1.2},
-            {"effects": ["slack"], "J_held_out": 1.1},
-            {"effects": ["slack", "tilt"], "J_held_out": 0.9},
+            {"effects": ["slack"], "J": 1.2},
+            {"effects": ["slack"], "J": 1.1},
+            {"effects": ["slack", "tilt"], "J": 0.9},
         ],
     }
     target = folder / name / "diagnosis.json"
@@ -977,6 +979,36 @@ def test_what_explains_nearly_all_needs_no_refit_of_what_promises_a_tenth_of_it(
     shortlist += [_promise(places["preload"], 40_000.0), _promise(places["lugre"], 40_000.0)]
     _alone(search, shortlist, plain, settings, quiet=False)
     assert search.refitted == [*first, *([] if skipped else ["preload"]), "lugre"]
+
+
+@pytest.mark.parametrize(
+    ("left", "exchanged"),
+    [
+        ((2500.0, 16_000.0), True),
+        ((2500.0, 2900.0), False),  # nobody shows a gap
+        ((2500.0, 3600.0), False),  # no law could earn its price there
+        ((4000.0, 16_000.0), False),  # both do
+        ((16_000.0, 2500.0), False),
+    ],
+)
+def test_the_trial_that_alone_shows_a_gap_is_the_one_to_fit(monkeypatch, left, exchanged):
+    pair = Pair(*(SimpleNamespace(samples=2880, left=x) for x in left), bounds=None)
+
+    class Given:
+        def __init__(self, evidence, effects, bounds):
+            self.left = evidence.left
+
+        def judged(self, z):
+            return self.left, 1.0
+
+    monkeypatch.setattr(stage, "JointResiduals", Given)
+    assert stage.is_shown_by_held_out_alone(pair, np.zeros(12), CONFIG["diagnosis"]) is exchanged
+
+
+def test_what_is_told_of_the_gap_is_told_of_the_trial_that_shows_it():
+    pair = Pair("fitted", "other", bounds=None)
+    assert pair.shown == "other"
+    assert replace(pair, exchanged=True).shown == "fitted"
 
 
 @pytest.mark.parametrize("others", [True, False])

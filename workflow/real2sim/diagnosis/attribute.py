@@ -55,11 +55,20 @@ LONGEST_STEP = 1.5
 
 @dataclass
 class Pair:
-    """Training and held-out trial of one person, whitened, with common scales."""
+    """Training and held-out trial of one person, whitened, with common scales.
+
+    ``exchanged``: the trial that was to be fitted shows no gap and the other does, so that they changed places.
+    """
 
     train: Evidence
     held_out: Evidence
     bounds: Bounds
+    exchanged: bool = False
+
+    @property
+    def shown(self) -> Evidence:
+        """The trial that shows the gap: the held-out one, but where they changed places."""
+        return self.train if self.exchanged else self.held_out
 
 
 @dataclass

@@ -292,14 +292,15 @@ def _regime_f1(rows: list[Row]) -> float | None:
 
 
 def _gap_closed(row: Row) -> float | None:
-    """Share of the gap on the held-out trial that the answer closes, of what the oracle closes on the same data.
+    """Share of the gap on the trial that shows it that the answer closes, of what the oracle closes on the same data.
 
-    The oracle knows the true structure: the best on the held-out trial of all refits that hold the true effects and
-    no others. Where the truth was never refitted, the estimated floor stands for it. The oracle is fitted by the same
-    search, so a right answer closes all of it: what this counts is wrong answers, and fits worse than another.
+    That is the held-out trial, unless it shows none. The oracle knows the true structure: the best there of all refits
+    that hold the true effects and no others. Where the truth was never refitted, the estimated floor stands for it. The
+    oracle is fitted by the same search, so a right answer closes all of it: what this counts is wrong answers, and fits
+    worse than another.
     """
     truth = set(row["names"])
-    oracle = [h["J_held_out"] for h in row["answer"]["considered"] if set(h["effects"]) == truth]
+    oracle = [h["J"] for h in row["answer"]["considered"] if set(h["effects"]) == truth]
     return _closed(row, min(oracle, default=row["answer"]["gap"]["J_floor"]))
 
 

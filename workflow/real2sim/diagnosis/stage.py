@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,15 @@ from real2sim.diagnosis.attribute import (
     plain_fit,
 )
 from real2sim.diagnosis.corrected import corrected
-from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, Decision, decide, next_trial
+from real2sim.diagnosis.decide import (
+    NONE,
+    UNKNOWN,
+    Candidate,
+    Decision,
+    decide,
+    is_out_of_reach,
+    next_trial,
+)
 from real2sim.diagnosis.evidence import Evidence, adapted, load_evidence, marker_noise
 from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
@@ -86,6 +95,18 @@ def prepare(
     return pair, z
 
 
+def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict) -> bool:
+    """Whether the plain fit (12,) leaves nothing but noise of the training trial, and of the other enough to explain.
+
+    A stop, say, that only the second trial reaches: what is fitted to the first learns nothing of it.
+    """
+    left = [JointResiduals(e, (), pair.bounds).judged(z)[0] for e in (pair.train, pair.held_out)]
+    samples = (pair.train.samples, pair.held_out.samples)
+    noise = samples[0] + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples[0])
+    quiet = left[0] < noise
+    return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
+
+
 def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
     """The plain plant and every refitted set as the decision sees them."""
     plain = Candidate((), 0, attribution.plain.chi2)
@@ -122,23 +143,35 @@ def diagnose(
     gates
         Verdicts on the trials (results/quality/<SUBJECT>/<TRIAL>.json). What they refuse is named in the answer.
     traces
-        Table (Parquet) of the held-out trial: time and, per interface marker and axis, measured, plain and with effect.
+        Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
+        with effect.
+
+    The trials change places where `is_shown_by_held_out_alone`.
     """
 
     def progress(text: str) -> None:
         print(f"{subject}: {text}", file=sys.stderr, flush=True)
 
     settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
-    pair, z = prepare(
-        train=train, held_out=held_out, neutral=neutral, limits=limits, robot=robot, settings=settings
-    )
     options = settings["diagnosis"]
+    known_of_both: dict[str, Any] = {
+        "neutral": neutral,
+        "limits": limits,
+        "robot": robot,
+        "settings": settings,
+    }
+    pair, z = prepare(train=train, held_out=held_out, **known_of_both)
+    if is_shown_by_held_out_alone(pair, z, options):
+        progress(f"{train.name} shows no gap and {held_out.name} does: effects are fitted on the latter")
+        train, held_out = held_out, train
+        pair, z = prepare(train=train, held_out=held_out, **known_of_both)
+        pair = replace(pair, exchanged=True)
     attribution = attribute(pair, z, options["search"], progress, calibration=options["calibration"])
     decision = _decided(pair, attribution, options)
     progress(f"verdict {decision.verdict}")
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:
-        _write_traces(traces, pair.held_out, attribution, decision)
+        _write_traces(traces, pair.shown, attribution, decision)
     phantom = pair.train.trial.phantom or pair.held_out.trial.phantom
     used = [
         folder / f"{table}.parquet" for folder in (train, held_out) for table in ("pose", "markers", "robot")
@@ -152,6 +185,7 @@ def diagnose(
             "refused_gates": refused_gates(gates or []),
             "train": [train.name],
             "held_out": [held_out.name],
+            "shown_on": [train.name if pair.exchanged else held_out.name],
         }
         | _answer(pair, attribution, decision, known)
         | {
@@ -206,15 +240,15 @@ def _write_traces(out: Path, evidence: Evidence, attribution: Attribution, decis
 def _answer(
     pair: Pair, attribution: Attribution, decision: Decision, known: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    held_out = pair.held_out
+    shown = pair.shown
     plain = attribution.plain
     best = attribution.hypotheses[decision.chosen] if decision.chosen is not None else plain
-    paths = {key: _paths(held_out, h) for key, h in (("plain", plain), ("best", best))}
-    assert held_out.noise is not None
-    noise = held_out.noise[:, :, :6]
-    draws = held_out.cost.energy(noise.reshape(*noise.shape[:2], 2, 3))
+    paths = {key: _paths(shown, h) for key, h in (("plain", plain), ("best", best))}
+    assert shown.noise is not None
+    noise = shown.noise[:, :, :6]
+    draws = shown.cost.energy(noise.reshape(*noise.shape[:2], 2, 3))
     floor = float(draws.mean())
-    base = float(held_out.cost(paths["plain"][None]).total[0])
+    base = float(shown.cost(paths["plain"][None]).total[0])
     ranked = _causes(pair, attribution, decision, paths["plain"], floor)
     stages: dict[str, float] = {}
     for name, probability in decision.probabilities.items():
@@ -231,7 +265,7 @@ def _answer(
             "J_base": base,
             "J_floor": floor,
             "visibility": (base - floor) / floor,
-            "J_with_effect": float(held_out.cost(paths["best"][None]).total[0]),
+            "J_with_effect": float(shown.cost(paths["best"][None]).total[0]),
             "chi2_plain": list(plain.chi2),
             "chi2_best": list(best.chi2),
             "chi2_expected": list(attribution.samples),
@@ -239,11 +273,11 @@ def _answer(
         "where": {
             "stage": max(stages, key=lambda s: stages[s]),
             "stages": stages,
-            "axes": _axes(best, axis_shares(held_out, paths["plain"], noise)),
+            "axes": _axes(best, axis_shares(shown, paths["plain"], noise)),
         }
-        | where(held_out, paths["plain"], noise, None if decision.chosen is None else paths["best"]),
+        | where(shown, paths["plain"], noise, None if decision.chosen is None else paths["best"]),
         "causes": ranked,
-        "considered": _considered(attribution, decision),
+        "considered": _considered(attribution, decision, pair.exchanged),
         "probabilities": decision.probabilities,
         "verdict": decision.verdict,
         "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
@@ -271,15 +305,18 @@ def _parameter(name: str, base: float, fitted: float, known: dict[str, Any], nam
     } | rest
 
 
-def _considered(attribution: Attribution, decision: Decision) -> list[dict[str, Any]]:
-    """Every set of effects that was refitted, places and all, and what it leaves of chi-squared on both trials."""
+def _considered(attribution: Attribution, decision: Decision, exchanged: bool) -> list[dict[str, Any]]:
+    """Every set of effects that was refitted, places and all, and what it leaves of chi-squared on both trials.
+
+    J is that of the trial that shows the gap.
+    """
     return [
         {
             "effects": list(h.names),
             "places": [placed.key for placed in h.effects],
             "parameters": len(h.z) - 12,
             "chi2": list(h.chi2),
-            "J_held_out": h.j[1],
+            "J": h.j[0 if exchanged else 1],
             "probability": float(probability),
         }
         for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
@@ -348,7 +385,8 @@ def _causes(
 ) -> list[dict[str, Any]]:
     """Every effect with some probability: its best set, what it closes, its parameters with intervals.
 
-    ``plain`` (n, 2, 3) [m] is the held-out trial without effects. What has hardly any probability gets no intervals.
+    ``plain`` (n, 2, 3) [m] is the trial that shows the gap, without effects. What has hardly any probability gets no
+    intervals.
     """
     out: list[dict[str, Any]] = []
     seen: set[str] = set()
@@ -372,7 +410,11 @@ def _causes(
                 "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
             }
             if len(out) < 3:
-                entry |= _closed(pair.held_out, plain, _paths(pair.held_out, hypothesis), floor)
+                path = _paths(pair.held_out, hypothesis)
+                entry["J_held_out"] = float(pair.held_out.cost(path[None]).total[0])
+                entry |= _closed(
+                    pair.shown, plain, _paths(pair.shown, hypothesis) if pair.exchanged else path, floor
+                )
             if told and len(out) < 3:
                 _add_intervals(pair, hypothesis, placed, entry["parameters"])
             out.append(entry)
@@ -380,7 +422,7 @@ def _causes(
 
 
 def _closed(evidence: Evidence, plain: np.ndarray, path: np.ndarray, floor: float) -> dict[str, Any]:
-    """J on a trial and the share of the closable gap, with a block-bootstrap interval, of paths (n, 2, 3) [m]."""
+    """Share of the closable gap on a trial, with a block-bootstrap interval, of paths (n, 2, 3) [m]."""
     costs = evidence.cost(np.stack([plain, path])).total
     base, j = float(costs[0]), float(costs[1])
     rows = evidence.cost.residuals(np.stack([plain, path]))
@@ -391,8 +433,8 @@ def _closed(evidence: Evidence, plain: np.ndarray, path: np.ndarray, floor: floa
     gap = base - floor
     if gap < SMALLEST_GAP * floor:
         # J cannot see the gap, though the whitened residuals may: a share of nothing is no number
-        return {"J_held_out": j, "gap_closed": None, "gap_closed_ci95": None}
-    return {"J_held_out": j, "gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
+        return {"gap_closed": None, "gap_closed_ci95": None}
+    return {"gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
 
 
 def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:

@@ -88,8 +88,8 @@ _DASH = "\N{EN DASH}"
 def diagnosis_page(*, diagnosis: Path, traces: Path, out: Path) -> None:
     """Write the page of one person's diagnosis: verdict, where, causes, what is left, parameters, next trial.
 
-    ``diagnosis`` is diagnosis.json, ``traces`` the table of the held-out trial [m]. The page holds its figures and
-    loads nothing. Raises InputError where either file lacks what it needs.
+    ``diagnosis`` is diagnosis.json, ``traces`` the table of the trial that shows the gap [m]. The page holds its
+    figures and loads nothing. Raises InputError where either file lacks what it needs.
     """
     d = read_json(diagnosis, _KEYS)
     body = [
@@ -151,7 +151,7 @@ def digest(d: Mapping[str, Any]) -> str:
     causes = table(
         ["Cause", "Probability", "Gap closed"],
         rows,
-        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(d['held_out'])}",
+        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(_shown(d))}",
         numeric=(2,),
     )
     return "\n".join([*_lead(d), paragraph(_place(d)), causes])
@@ -205,7 +205,7 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 
 
 def _lead(d: Mapping[str, Any]) -> list[str]:
-    parts = [paragraph(_verdict(d), "lead"), paragraph(_spectral(d))]
+    parts = [paragraph(_verdict(d), "lead"), paragraph(_spectral(d)), paragraph(_exchanged(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
     for trial, gates in d["refused_gates"].items():
         what = (
@@ -224,11 +224,29 @@ def _trial(d: Mapping[str, Any]) -> str:
     return "none is needed to tell causes apart"
 
 
+def _shown(d: Mapping[str, Any]) -> list[str]:
+    """Trial that shows the gap: the held-out one, unless it shows none and is what the fitted one is checked by."""
+    trials: list[str] = d.get("shown_on", d["held_out"])
+    return trials
+
+
+def _exchanged(d: Mapping[str, Any]) -> str:
+    """Why the trial with the gap was fitted, where that is so."""
+    if _shown(d) == d["held_out"]:
+        return ""
+    fitted, other = _trials(d["train"]), _trials(d["held_out"])
+    return (
+        f"Only {fitted} shows a gap: the effects were fitted on it and had to leave {other} as it is. How far the gap "
+        "shrinks is told of the trial that was fitted; one more of its kind would check it."
+    )
+
+
 def _verdict(d: Mapping[str, Any]) -> str:
     """Cause, probability and what is left, in one sentence."""
     gap, p = d["gap"], d["probabilities"]
     base, floor, after = (rounded(gap[key], 4) for key in ("J_base", "J_floor", "J_with_effect"))
-    trial = f"the held-out trial {_trials(d['held_out'])}"
+    held_out = _shown(d) == d["held_out"]
+    trial = f"the held-out trial {_trials(_shown(d))}" if held_out else _trials(_shown(d))
     if d["verdict"] == "none":
         return (
             f"No cause is named: with a probability of {percent(p['none'])} the plain model is all that the data ask "
@@ -276,12 +294,13 @@ def _same_set(cause: Mapping[str, Any], d: Mapping[str, Any]) -> bool:
 
 
 def _chi2(d: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Chi-squared per residual on the held-out trial, plain and with the effect."""
+    """Chi-squared per residual on the trial that shows the gap, plain and with the effect."""
     gap = d["gap"]
     if not gap.get("chi2_expected"):
         return None
-    n = gap["chi2_expected"][1]
-    return gap["chi2_plain"][1] / n, gap["chi2_best"][1] / n
+    i = [d["train"], d["held_out"]].index(_shown(d))
+    n = gap["chi2_expected"][i]
+    return gap["chi2_plain"][i] / n, gap["chi2_best"][i] / n
 
 
 def _spectral(d: Mapping[str, Any]) -> str:
@@ -376,7 +395,7 @@ def _where(d: Mapping[str, Any]) -> str:
         for key, share in group.items()
     ]
     numbers = table(["Where", "Of", "Share"], rows, caption="All shares", numeric=(2,))
-    trial = _trials(d["held_out"])
+    trial = _trials(_shown(d))
     return section(
         "where",
         "Where the gap lies",
@@ -597,7 +616,7 @@ def _gap_bar(d: Mapping[str, Any]) -> str:
             figure,
             "gap",
             f"Bars of floor, unexplained and explained. {words}.",
-            f"The gap on {_trials(d['held_out'])}: noise floor (line, with its 95 % interval; "
+            f"The gap on {_trials(_shown(d))}: noise floor (line, with its 95 % interval; "
             f"{floor['source']}), what the effect explains, what is left. No unit.",
         )
 
@@ -643,7 +662,7 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
             figure,
             "traces",
             f"Position and residual of {marker} along world {axis} over time. {change}.",
-            f"Marker {marker} along world {axis} of {_trials(d['held_out'])}, the largest plain residual. Top: about "
+            f"Marker {marker} along world {axis} of {_trials(_shown(d))}, the largest plain residual. Top: about "
             f"its mean. Bottom: simulated less measured, {change}{noise}.{nothing}",
         )
 
@@ -743,7 +762,7 @@ def _model(d: Mapping[str, Any]) -> str:
         "The model for the next simulation",
         f'<p><a href="model.xml">model.xml</a> is robot and interface {escape(what)}, in a file of its own that MuJoCo '
         'loads; <a href="model.json">model.json</a> says what of the diagnosis is no part of a model and what to do '
-        'about it; <a href="model_replay.csv">model_replay.csv</a> replays the training trial with it.</p>',
+        'about it; <a href="model_replay.csv">model_replay.csv</a> replays a trial with it.</p>',
     )
 
 

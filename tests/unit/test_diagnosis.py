@@ -285,6 +285,23 @@ def test_a_turned_lab_of_the_interface_gives_back_the_motion_that_it_turned(plai
     np.testing.assert_allclose(joints[0, :, 2:], own[0, :, 2:], atol=1e-9)
 
 
+def test_the_bone_is_found_under_skin_that_turns_more_than_it_does():
+    """Bone of known Cardan angles; skin that turns by up to 1.3 rad and slides by 0.1 m for each rad of it."""
+    rng = np.random.default_rng(3)
+    time = np.linspace(0, 4, 200)
+    angles = 0.25 * np.sin(2 * np.pi * np.outer(time, [0.3, 0.5, 0.4]))
+    bone = REST.rotation @ Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
+    position = rng.standard_normal(3) + 0.1 * angles
+    turn = np.array([[0.4, 1.3, -0.2], [-0.9, 0.3, 0.5], [0.1, -0.6, 0.7]])
+    shift = 0.1 * rng.standard_normal((3, 3))
+    skin = bone @ Rotation.from_rotvec(angles @ turn.T).as_matrix()
+    moved = position + np.einsum("nij,nj->ni", bone, angles @ shift.T)
+    context = SimpleNamespace(pelvis_rotation=skin, pelvis_position=moved)
+    found = chains.soft_tissue(np.concatenate([shift.ravel(), turn.ravel()]), context)
+    np.testing.assert_allclose(found[0], bone, atol=1e-5)
+    np.testing.assert_allclose(found[1], position, atol=1e-5)
+
+
 def test_markers_off_their_centres_give_back_the_motion_of_the_centres(plain):
     offsets = np.array([[0.012, -0.004, 0.008], [-0.005, 0.015, 0.003]])
     pelvis, origin = pelvis_at_start()

@@ -184,26 +184,27 @@ def earlier_pelvis(values, context):
     )
 
 
-# Rounds in which the bone's angles are found that its skin shows as the measured ones
-_BONE_ROUNDS = 4
+# Rounds of Newton in which the bone's angles are found that its skin shows as the measured ones
+_BONE_ROUNDS = 6
 
 
 def soft_tissue(values, context):
     """Pelvis path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
     # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
-    start, seen = context.pelvis_rotation[0], context.pelvis_rotation
+    start = context.pelvis_rotation[0]
     shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
-    rotation = seen
+    seen = Rotation.from_matrix(start.T @ context.pelvis_rotation)
+    angles, slope = np.zeros((len(context.pelvis_rotation), 3)), np.eye(3) + turn
     for _ in range(_BONE_ROUNDS):
-        spun = _cardan(start.T @ rotation) @ turn.T
-        rotation = seen @ Rotation.from_rotvec(-spun).as_matrix()
-    moved = _cardan(start.T @ rotation) @ shift.T
-    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, moved)
+        beyond = (_from_cardan(angles).inv() * seen).as_rotvec() - angles @ turn.T
+        angles = angles + np.linalg.solve(slope, beyond.T).T
+    rotation = start @ _from_cardan(angles).as_matrix()
+    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
 
 
-def _cardan(rotation):
-    """Cardan angles (n, 3) about x, y, z of rotations R_z R_y R_x (n, 3, 3)."""
-    return Rotation.from_matrix(rotation).as_euler("ZYX")[:, ::-1]
+def _from_cardan(angles):
+    """Rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
 
 
 def _at_times(paths, time_s, wanted):

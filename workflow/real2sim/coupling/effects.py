@@ -589,16 +589,16 @@ EFFECTS: tuple[Effect, ...] = (
         "pelvis markers move over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the start",
         (
             *(_linear(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
-            *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 0.8) for a in "xyz" for b in "xyz"),
+            *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 1.5) for a in "xyz" for b in "xyz"),
         ),
         "V",
         "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
         scope="whole",
         input_chain=chains.soft_tissue,
         remedy=(
-            "Correct the pelvis before it is replayed: with v its Cardan angles from the start pose, take from its"
-            " rotation R the vector turn v, in the pelvis' frame, and so on with v of what comes out until that stays;"
-            " take R (shift v) from its position"
+            "Correct the pelvis before it is replayed: solve R = R0 R_z R_y R_x(v) exp(turn v) for the Cardan angles v,"
+            " R its rotation and R0 that at the start (Newton, with the slope 1 + turn); the bone is turned by"
+            " B = R0 R_z R_y R_x(v), and its position is the pelvis' less B (shift v)"
         ),
     ),
     Effect(

@@ -9,12 +9,14 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling import chains
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import PlannedForce, Scales, bouc_wen
-from real2sim.coupling.plant import RestPose, robot_pose_for
+from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis import stage
@@ -30,6 +32,7 @@ from real2sim.diagnosis.attribute import (
     _best_of_each,
     _first_of_each,
     _fresh_starts,
+    _other_forms,
     _pairs,
     _parabola,
     _promising,
@@ -51,7 +54,14 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
     next_trial,
 )
-from real2sim.diagnosis.evidence import SPIKE_RESIDUAL_SD, drawn_together, spikes
+from real2sim.diagnosis.evidence import (
+    SPIKE_RESIDUAL_SD,
+    drawn_together,
+    noise_colour,
+    rest_uncertainty,
+    robot_noise,
+    spikes,
+)
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
@@ -60,6 +70,7 @@ from real2sim.identification.least_squares import STEP, Tangent
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 from real2sim.signals import lowpass
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
@@ -87,6 +98,7 @@ NEUTRAL = {
     "added_mass": [0.0, 0.0],
     "base_compliance": [0.0] * 6,
     "base_compliance series": [-40.0] * 3,
+    "base_compliance beyond_wheels": None,  # what is never rigid is never absent
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "tilt": [0.0, 0.0],
@@ -94,6 +106,7 @@ NEUTRAL = {
     "lab_yaw": [0.0],
     "replay_lag": [0.0],
     "sync_offset": [0.0],
+    "sync_offset with_log": [0.0],
     "clock_drift": [0.0],
     "marker_offset": [0.0] * 6,
     "marker_drift": [0.0] * 3,
@@ -213,16 +226,29 @@ def test_dry_friction_holds_without_creeping():
 
 
 def test_a_base_that_relaxes_slowly_is_a_stiffer_one():
-    slow, stiff = (
-        Placed(effect, effect.places()[0], SCALES) for effect in EFFECTS if effect.name == "base_compliance"
-    )
-    if slow.effect.form != "series":
-        slow, stiff = stiff, slow
+    slow, stiff = placed_whole("base_compliance", "series"), placed_whole("base_compliance")
     share = np.array([0.5, 0.2, 0.8])
     factors = np.stack([np.log1p(share), np.zeros(3)], axis=1).reshape(1, 6)
     one = replay([slow]).run_effects(PRIOR[None], [np.array([[*np.log(share), np.log(1e4)]])])
     other = replay([stiff]).run_effects(PRIOR[None], [factors])
     np.testing.assert_allclose(one[1], other[1], atol=2e-5)
+
+
+def test_a_base_that_yields_beyond_its_wheels_goes_further_than_they_show(plain):
+    placed = placed_whole("base_compliance", "beyond_wheels")
+    model = replay([placed])
+    _, configured = replay([]).run_effects(PRIOR[None], [])
+    away = []
+    for ln in (2.0, 3.0, 4.0):
+        paths, log = model.run_effects(PRIOR[None], [np.full((1, 3), ln)])
+        away.append((np.abs(paths[0] - plain[0]).max(), np.abs(log - configured).max()))
+    # a stiffer spring is nearer to none, about in proportion
+    assert np.all(np.divide(away[:-1], away[1:]) > 2)
+    soft, log = model.run_effects(PRIOR[None], [np.zeros((1, 3))])
+    moved = [np.ptp(x.mean(axis=1)[:, 0]) for x in (soft[0], plain[0])]
+    shown = [np.ptp(x[0, :, 0]) for x in (log, configured)]
+    assert moved[0] > 1.05 * moved[1]
+    assert shown[0] < 0.95 * shown[1]
 
 
 def test_a_strap_that_wanders_pulls_by_its_way_from_the_first_motion_on():
@@ -466,6 +492,21 @@ def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
         mujoco.mj_forward(plant, data)
         even = b * q**2 if abs(q) < end else b * end * (2 * abs(q) - end)
         assert data.qfrc_spring[joint.dofadr[0]] == pytest.approx(-(k * q + even), abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_gentle_stop_pushes_with_the_square_of_what_is_beyond(side):
+    effect = next(e for e in EFFECTS if e.form == "_gentle")
+    where = next(w for w in effect.places() if w.axes == (0,) and w.side == side)
+    placed = Placed(effect, where, SCALES)
+    model = replay([placed])
+    x = placed.starts()[:1]
+    place, curvature = placed.values(x)[0]
+    model.run_effects(PRIOR[None], [x])
+    for beyond in (-1.5 * place, -0.5 * place, 0.01, 0.03):
+        q = side * (place + beyond)
+        pushes = -side * curvature * max(beyond, 0.0) ** 2
+        assert at_rest_on(model, "strap_tx", q) == pytest.approx(-PRIOR[0] * q + pushes, abs=1e-9)
 
 
 def undriven(model: EffectReplay) -> mujoco.MjModel:
@@ -744,6 +785,55 @@ class _Stuck(Search):
         return sum(hypothesis.chi2) < 6000
 
 
+def _log(path: Path, noise: np.ndarray) -> Path:
+    """robot.parquet of a robot that stands still, with noise (n, 6)."""
+    pq.write_table(pa.table(dict(zip(ROBOT_JOINTS, noise.T, strict=True))), path)
+    return path
+
+
+def test_a_rest_pose_is_as_uncertain_as_the_person_sways(tmp_path):
+    rng = np.random.default_rng(4)
+    sway = np.repeat(1e-3 * rng.standard_normal((9, 6)), 100, axis=0)
+    q = sway + 1e-4 * rng.standard_normal((900, 6))
+    pq.write_table(pa.table({f"q_{a}": q[:, i] for i, a in enumerate(AXES)}), tmp_path / "pose.parquet")
+    seconds = sway[::100]
+    expected = seconds.std(axis=0, ddof=1) / 3
+    np.testing.assert_allclose(rest_uncertainty(tmp_path / "pose.parquet", 100), expected, rtol=0.1)
+
+
+def test_noise_of_the_robots_log_is_what_it_shows_while_all_stand(tmp_path):
+    """A log of 0.4 mm and 0.6 mrad passed for a gap of 25 SD in every trial when encoders were taken as exact."""
+    rng = np.random.default_rng(1)
+    sd = np.array([4e-4, 3e-4, 6e-4, 1e-4, 5e-4, 2e-4])
+    still = _log(tmp_path / "neutral.parquet", sd * rng.standard_normal((800, 6)))
+    motion = np.sin(2 * np.pi * 0.5 * np.arange(1500) / 100)[:, None]
+    moved = _log(tmp_path / "moved.parquet", 0.1 * motion + sd * rng.standard_normal((1500, 6)))
+    none = _log(tmp_path / "none.parquet", np.full((800, 6), np.nan))
+    np.testing.assert_allclose(robot_noise(still, none, 100), sd, rtol=0.25)
+    np.testing.assert_allclose(robot_noise(none, moved, 100), sd, rtol=0.25)
+    assert not robot_noise(none, none, 100).any()
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_markers_whose_noise_is_slow_are_told_from_white_ones_by_the_plate_they_sit_on(tmp_path, slow):
+    rng = np.random.default_rng(2)
+    n, rate = 800, 100
+    sway = 0.01 * np.sin(2 * np.pi * 0.3 * np.arange(n) / rate)[:, None]
+    columns = {}
+    for name, y in (("IF_L", 0.15), ("IF_R", -0.15)):
+        path = np.array([0.0, y, 0.95]) + sway + 3e-4 * rng.standard_normal((n, 3))
+        if slow:
+            # Ornstein-Uhlenbeck, 0.35 mm over 0.35 s
+            keep = np.exp(-1 / rate / 0.35)
+            path += lfilter([np.sqrt(1 - keep**2)], [1, -keep], 3.5e-4 * rng.standard_normal((n, 3)), axis=0)
+        columns |= {f"{name}_{c}": path[:, i] for i, c in enumerate("xyz")}
+    pq.write_table(pa.table(columns), tmp_path / "markers.parquet")
+    colour = noise_colour(tmp_path / "markers.parquet", rate)
+    assert np.all(np.diff(colour) <= 0)
+    assert colour[-1] == 1
+    assert colour[0] > 5 if slow else np.all(colour == 1)
+
+
 def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
     placed = Placed(effect, effect.places()[0], SCALES)
@@ -834,6 +924,19 @@ def test_a_lag_is_exact_far_from_none():
     np.testing.assert_allclose(
         basis.weights(basis.nodes[[3]][None])[0], np.eye(len(basis.nodes))[3], atol=1e-9
     )
+
+
+def test_a_pelvis_that_is_early_is_an_offset_of_all_the_rest_and_no_lag_of_the_replay():
+    lag = next(e for e in EFFECTS if e.name == "replay_lag")
+    offset = next(e for e in EFFECTS if e.form == "with_log")
+    for effect in (lag, offset):
+        assert Placed(effect, effect.places()[0], SCALES).bounds()[0] == [0.0]
+    context = replay([])._context
+    early = offset.input_chain(np.array([0.03]), context)
+    back = lag.input_chain(
+        np.array([0.03]), replace(context, pelvis_rotation=early[0], pelvis_position=early[1])
+    )
+    np.testing.assert_allclose(back[1][10:-10], context.pelvis_position[10:-10], atol=1e-5)
 
 
 def test_every_parameter_of_an_effect_is_free():
@@ -974,6 +1077,19 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
         quiet=False,
     )
     assert search.refitted == [*first, "lugre", "sync_offset"]
+
+
+def test_all_filters_are_tried_where_a_late_clock_explains_everything():
+    plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
+    whole = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.scope == "whole"]
+    late = next(p for p in whole if p.effect.name == "sync_offset")
+    first = Hypothesis((late,), np.zeros(13), (2500.0, 2500.0))
+    search = _Counting(1.0)
+    found = _other_forms(search, [first], [_promise(p, 80_000.0) for p in whole], plain)
+    assert {n for h in found for n in h.names} == {"sync_offset", "replay_lag", "filter_lag", "clock_drift"}
+    assert search.refitted.count("filter_lag") == sum(e.name == "filter_lag" for e in EFFECTS)
+    some = replace(first, chi2=(9000.0, 9000.0))
+    assert _other_forms(search, [some], [_promise(p, 80_000.0) for p in whole], plain) == [some]
 
 
 @pytest.mark.parametrize(("left", "skipped"), [(5000.0, True), (12_000.0, False)])

@@ -184,6 +184,11 @@ def earlier_pelvis(values, context):
     )
 
 
+def later_pelvis(values, context):
+    """Pelvis path (n, 3, 3), (n, 3) of a pelvis that was early by an offset (1,) [s]."""
+    return earlier_pelvis(-values, context)
+
+
 # Rounds of Newton in which the bone's angles are found that its skin shows as the measured ones
 _BONE_ROUNDS = 6
 

@@ -25,6 +25,7 @@ from real2sim.coupling.mechanisms import (
     DryFriction,
     Elastoplastic,
     EvenSpring,
+    GentleStop,
     InterfaceMass,
     Maxwell,
     Mechanism,
@@ -41,6 +42,7 @@ from real2sim.coupling.mechanisms import (
     TurnedBack,
     TurnedLaw,
     Where,
+    YieldBeyondWheels,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.geometry import AXES
@@ -498,6 +500,28 @@ EFFECTS: tuple[Effect, ...] = (
         plant=Stop(),
     ),
     Effect(
+        "joint_limit",
+        "interface",
+        "F = k q + c (q - place)^2 beyond a place, or its mirror image: a stop that begins gently",
+        (
+            EffectParameter("place", "m|rad", 0.05, 1.2, (0.4,), _q, log=True),
+            EffectParameter(
+                "curvature",
+                "N/m2|Nm/rad2",
+                0.5,
+                2000.0,
+                (10.0,),
+                lambda s, i: float(s.k[i] / s.q[i]),
+                log=True,
+            ),
+        ),
+        "A",
+        "a slow ramp into the stop",
+        scope="side",
+        plant=GentleStop(),
+        form="_gentle",
+    ),
+    Effect(
         "quadratic_damping",
         "interface",
         "F = d qdot + d2 qdot |qdot|",
@@ -553,6 +577,20 @@ EFFECTS: tuple[Effect, ...] = (
         scope="whole",
         plant=RobotRelaxation(ROBOT_JOINTS[:3]),
         form="series",
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "the base yields beyond its wheels, unseen by their odometry: a spring in series with the configured impedance",
+        tuple(
+            EffectParameter(f"ln_stiffness_{axis}", "1", -2.0, 4.0, (1.0,), prior_sd=2.0)
+            for axis in ("x", "y", "yaw")
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=YieldBeyondWheels(ROBOT_JOINTS[:3]),
+        form="beyond_wheels",
     ),
     Effect(
         "controller_reaction",
@@ -631,7 +669,8 @@ EFFECTS: tuple[Effect, ...] = (
         "replay_lag",
         "input",
         "the pelvis is late by tau",
-        (EffectParameter("lag", "s", -0.1, 0.1, (0.01,)),),
+        # one that is early is no replay's fault: sync_offset
+        (EffectParameter("lag", "s", 0.0, 0.1, (0.01,)),),
         "T",
         _JERK,
         scope="whole",
@@ -648,6 +687,18 @@ EFFECTS: tuple[Effect, ...] = (
         scope="whole",
         output_chain=chains.late_markers,
         remedy="Shift the interface markers earlier by the offset before they are compared with the simulation",
+    ),
+    Effect(
+        "sync_offset",
+        "output",
+        "y(t - tau), and the robot's log as late: the pelvis alone is early",
+        (EffectParameter("offset", "s", 0.0, 0.15, (0.01,)),),
+        "T",
+        _JERK,
+        scope="whole",
+        input_chain=chains.later_pelvis,
+        form="with_log",
+        remedy="Replay the pelvis later by the offset, or shift interface markers and robot log earlier by it",
     ),
     Effect(
         "clock_drift",

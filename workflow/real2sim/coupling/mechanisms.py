@@ -496,6 +496,23 @@ class Stop:
         rates[:, index, 0], rates[:, index, 1] = -square, -2 * ratio * np.sqrt(square)
 
 
+class GentleStop:
+    """A stop that begins gently, with the square of what is beyond: values are place and curvature, (m, 2)."""
+
+    def build(self, spec, where):
+        """One tendon over the strap joint, its dead band without an end."""
+        joint = {STRAP_JOINTS[where.axes[0]]: 1.0}
+        _tendon(spec, f"gentle_{where.element}", joint, stiffness=[1, 1, 0], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """The dead band ends at its place; the square is even, so that its sign is the side's."""
+        index = fields.tendon(f"gentle_{where.element}")
+        place, curvature = values.T
+        fields["tendon_stiffness"][:, index] = 0
+        fields["tendon_stiffnesspoly"][:, index, 0] = where.side * curvature
+        fields["tendon_lengthspring"][:, index, 1 if where.side > 0 else 0] = where.side * place
+
+
 class InterfaceMass:
     """Mass and isotropic inertia that the twin's interface body lacks, values (m, 2) [kg, kg m^2]."""
 
@@ -555,6 +572,41 @@ class RobotRelaxation:
             number = fields.model.joint(joint).id
             _set_branch(fields, name, fields.model.jnt_stiffness[number] * np.exp(ln), values[:, -1])
             rest = fields["qpos_spring"][:, fields.model.jnt_qposadr[number]]
+            fields["tendon_lengthspring"][:, fields.tendon(name)] = rest[:, None]
+
+
+class YieldBeyondWheels:
+    """Joints of the robot that yield beyond what its log measures: a spring in series with the configured impedance.
+
+    Values are ln of the springs' stiffness in units of the configured one, joint by joint. The wheels are hidden slides
+    in that impedance, and what the log shows.
+    """
+
+    def __init__(self, joints: tuple[str, ...]):
+        self._joints = joints
+
+    def logged(self, where: Where) -> dict[str, str]:
+        """Joint that the log shows instead of each of the robot's."""
+        return {joint: f"wheels_{joint}_{where.element}" for joint in self._joints}
+
+    def build(self, spec, where):
+        """A slide and a tendon per joint."""
+        for joint, name in self.logged(where).items():
+            _branch(spec, name, joint)
+
+    def set(self, fields, where, parameters, values):
+        """The impedance from the joint to its slide, and the spring between."""
+        model, h = fields.model, fields.model.opt.timestep
+        for (joint, name), ln in zip(self.logged(where).items(), values.T, strict=True):
+            number, slide = model.joint(joint).id, model.joint(name)
+            dof = int(model.jnt_dofadr[number])
+            stiffness, damping = model.jnt_stiffness[number], model.dof_damping[dof]
+            fields["jnt_stiffness"][:, number] = fields["dof_damping"][:, dof] = 0
+            fields["dof_armature"][:, dof] = model.dof_armature[dof] + damping * h / 2
+            fields["jnt_stiffness"][:, slide.id] = stiffness
+            fields["dof_damping"][:, int(slide.dofadr[0])] = damping
+            fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness * np.exp(ln)
+            rest = fields["qpos_spring"][:, model.jnt_qposadr[number]]
             fields["tendon_lengthspring"][:, fields.tendon(name)] = rest[:, None]
 
 

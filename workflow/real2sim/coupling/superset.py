@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
-from real2sim.coupling.mechanisms import DryFriction, Fields, PlannedForce, RestShift, Scales, Stop
+from real2sim.coupling.mechanisms import (
+    DryFriction,
+    Fields,
+    PlannedForce,
+    RestShift,
+    Scales,
+    Stop,
+    YieldBeyondWheels,
+)
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
@@ -119,12 +127,16 @@ class EffectReplay(Replay):
         }
 
     def _extend(self, spec: mujoco.MjSpec) -> None:
+        logged: dict[str, str] = {}
+        for placed in self.effects:
+            if isinstance(placed.effect.plant, YieldBeyondWheels):
+                logged |= placed.effect.plant.logged(placed.where)
         for name in ROBOT_JOINTS:
             spec.add_sensor(
                 name=f"robot_{name}",
                 type=mujoco.mjtSensor.mjSENS_JOINTPOS,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                objname=name,
+                objname=logged.get(name, name),
             )
         if self._rounds > 1:
             for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
@@ -236,8 +248,8 @@ class EffectReplay(Replay):
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate strap parameters (m, 12) with searched numbers (m, p) of each effect.
 
-        Returns interface sites (m, n, 2, 3) [m, world] as the markers show them and robot joints (m, n, 6) relative to
-        the start pose [m, rad]. A simulation that MuJoCo gave up on is NaN.
+        Returns interface sites (m, n, 2, 3) [m, world] as the markers show them and robot joints (m, n, 6) as its log
+        shows them, relative to the start pose [m, rad]. A simulation that MuJoCo gave up on is NaN.
         """
         m = len(parameters)
         values = [placed.values(part) for placed, part in zip(self.effects, x, strict=True)]

@@ -309,13 +309,7 @@ class Search:
             rows = np.pad(here.jacobian, ((0, at.shape[1] - len(here.residuals)), (0, 0)))
             logarithmic = any(parameter.log for parameter in placed.effect.parameters)
             slopes = None if logarithmic else _parabola(starts, at, base)
-            borne = np.flatnonzero(np.isfinite(at).all(axis=1))
-            if slopes is None and len(borne):
-                # own slopes cost a replay each: they are taken where the strap alone can make most of the start
-                plain = [Tangent(here.z, at[i], rows) for i in borne]
-                promised = [_bounded_step(t, lower[: len(here.z)], upper[: len(here.z)])[1] for t in plain]
-                borne = borne[[int(np.argmin(promised))]]
-            for i in borne:
+            for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
                 tangents.append(Tangent(z[i], at[i], np.hstack([rows, columns])))
             if tangents:
@@ -448,6 +442,7 @@ def attribute(
     progress(f"screened {len(listed)} hypotheses")
     quiet = calibration is not None and is_out_of_reach(plain.chi2, count, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
+    hypotheses = _other_forms(search, hypotheses, singles, plain)
     hypotheses[0] = _converged(search, plain, hypotheses[0], settings)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
@@ -551,6 +546,27 @@ def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
         else h
         for h in found
     ]
+
+
+def _other_forms(
+    search: Search, found: list[Hypothesis], screened: Sequence[Screened], plain: Hypothesis
+) -> list[Hypothesis]:
+    """Single effects, and where one of no axis explains everything, all forms of those that it is mistaken for.
+
+    What the tangent makes of a lag is alike for all of them; two filters differ by what is beyond their parabola.
+    """
+    best = found[0]
+    if best.effects[0].where.axes or not search.is_noise(best):
+        return found
+    known = {_keys(h.effects) for h in found}
+    rest = [
+        s
+        for s in screened
+        if _keys(s.effects) not in known
+        and not s.effects[0].where.axes
+        and _alike(best.effects[0], s.effects[0])
+    ]
+    return sorted([*found, *(_single(search, s, plain) for s in rest)], key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:

@@ -16,14 +16,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pyarrow.parquet as pq
-from scipy.fft import dct
+from scipy.fft import dct, idct
 from scipy.signal import welch
 from scipy.spatial.transform import Rotation
+from scipy.stats import f
 
 from real2sim import signals
 from real2sim.coupling.chains import Context
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
-from real2sim.coupling.effects import Placed
+from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import Scales
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
 from real2sim.coupling.superset import EffectReplay, InputBasis
@@ -53,6 +54,18 @@ SMALLEST_NOISE_M = 2e-5
 SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.08
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
+# Probability from which noise that looks slower than white is taken as such
+COLOUR_SURE = 0.999
+# Where a moving person hardly moves
+QUIET_BAND_HZ = (7.0, 10.0)
+# A strap that rests elsewhere along one axis
+_ONES = np.ones(6)
+_RESTS = [
+    Placed(effect, where, Scales(_ONES, _ONES, _ONES, _ONES, _ONES))
+    for effect in EFFECTS
+    if effect.name == "preload" and not effect.form
+    for where in effect.places()
+]
 # Band edges [Hz] within which the noise is taken as equal
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
 
@@ -84,8 +97,10 @@ class Evidence:
 
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
-    paper; ``coordinates`` (n, 6) are measured. What input chains and noise make of the pelvis' path is kept for the
-    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
+    paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
+    robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
+    what it does (`rest_uncertainty`). What input chains and noise make of the pelvis' path is
+    kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
     """
 
     trial: Trial
@@ -99,10 +114,14 @@ class Evidence:
     drives: dict[float, PelvisDrive]
     coordinates: np.ndarray
     marker_sd: dict[str, np.ndarray]
+    colour: np.ndarray
+    robot_sd: np.ndarray
+    rest_sd: np.ndarray
     pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
     start_joints: np.ndarray | None = None
+    rests: np.ndarray | None = None
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
@@ -147,8 +166,12 @@ class Evidence:
         """Residuals (m, n, c) simulated minus measured, gaps bridged by straight lines."""
         error = paths.reshape(*paths.shape[:2], 6) - self.trial.interface.reshape(-1, 6)
         if self.robot is not None:
-            error = np.concatenate([error, joints - self.robot], axis=2)
+            error = np.concatenate([error, self._from_start(joints) - self.robot], axis=2)
         return self._without_gaps(error)
+
+    def _from_start(self, joints: np.ndarray) -> np.ndarray:
+        """Robot joints (m, n, c) relative to their mean while the person stands, as the log is taken."""
+        return joints - joints[:, : self.context.start].mean(axis=1, keepdims=True)
 
     def _without_gaps(self, error: np.ndarray) -> np.ndarray:
         """Residuals (m, n, c) with straight lines where pelvis or channel is unknown, and a while after a gap."""
@@ -215,6 +238,7 @@ class Evidence:
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         n = len(self.trial.time_s)
+        self.rests = self._other_rests(parameters)
         self.noise = error = self._noise(parameters, draws, seed)
         floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
@@ -254,13 +278,36 @@ class Evidence:
         self._shake(replay, draws, seed)
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
         markers -= markers[:, : self.context.start].mean(axis=1, keepdims=True)
-        return self._without_gaps(self._apart(replay, parameters, draws, markers, x))
+        rng = np.random.default_rng([seed, draws])
+        logged = self.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
+        error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
+        if self.rests is not None:
+            error = error + np.tensordot(rng.standard_normal((draws, len(self.rests))), self.rests, axes=1)
+        return self._without_gaps(error)
+
+    def _other_rests(self, parameters: np.ndarray) -> np.ndarray:
+        """Residuals (6, n, c) of a strap that rests one SD (`rest_uncertainty`) from where neutral has it, by axis."""
+        out = []
+        plain = self._moved_by([], parameters, [])
+        for placed in _RESTS:
+            unit = replace(placed, scales=self.scales)
+            x = self.rest_sd[placed.where.axes[0]] / unit.values(np.ones((1, 1)))
+            out.append(self._moved_by([unit], parameters, [x]) - plain)
+        return np.nan_to_num(np.array(out))
+
+    def _moved_by(self, effects: list, parameters: np.ndarray, x: list[np.ndarray]) -> np.ndarray:
+        """Interface markers and, where it was logged, robot (n, c) of a simulation."""
+        paths, joints = self.replay(effects, 1, coarse=True).run_effects(parameters[None], x)
+        channels = [paths.reshape(1, -1, 6)]
+        if self.robot is not None:
+            channels.append(self._from_start(joints))
+        return np.concatenate(channels, axis=2)[0]
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
         replay = self.replay([], draws + 1)
         self._shake(replay, draws, seed)
-        return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0))
+        return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
 
     def _filtered_noise(
         self, names: tuple[str, ...], cutoff_hz: float, rng: np.random.Generator
@@ -268,6 +315,10 @@ class Evidence:
         """Noise (n, m, 3) [m] of markers as the filter leaves it."""
         settings, n = self.settings["ingest"], len(self.trial.time_s)
         white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
+        if (self.colour > 1).any():
+            frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
+            louder = np.sqrt(self.colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
+            white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
         filtered = signals.lowpass(
             white.reshape(n, -1), settings["rate_hz"], cutoff_hz, settings["filter_order"]
         )
@@ -302,16 +353,18 @@ class Evidence:
         parameters: np.ndarray,
         draws: int,
         markers: np.ndarray | float,
+        logged: np.ndarray | float,
         x: Sequence[np.ndarray] = (),
     ) -> np.ndarray:
-        """Residuals (draws, n, c) of the shaken simulations against the first, less noise of the markers themselves."""
+        """Residuals (draws, n, c) of the shaken simulations against the first, less noise of the channels themselves.
+
+        That is ``markers`` (draws, n, 2, 3) [m], and ``logged`` (draws, n, 6) of the robot's log [m, rad].
+        """
         alike = [np.tile(part, (draws + 1, 1)) for part in (parameters, *x)]
         paths, joints = replay.run_effects(alike[0], alike[1:])
         error = (paths[1:] - paths[:1] - markers).reshape(draws, -1, 6)
         if self.robot is not None:
-            moved = joints[1:] - joints[:1]
-            moved = moved - moved[:, : self.context.start].mean(axis=1, keepdims=True)
-            error = np.concatenate([error, moved], axis=2)
+            error = np.concatenate([error, self._from_start(joints[1:] - joints[:1]) - logged], axis=2)
         return error
 
 
@@ -404,6 +457,8 @@ def load_evidence(
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
+    colour = noise_colour(neutral / "markers.parquet", rate)
+    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     context = Context(
@@ -425,7 +480,10 @@ def load_evidence(
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones)
-    return Evidence(trial, measured, context, scales, cost, settings, robot, known, {}, q, sd, cutoff)
+    of_channels = (sd, colour, log_sd, rest_uncertainty(neutral / "pose.parquet", rate))
+    return Evidence(
+        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, cutoff
+    )
 
 
 def _mean_pelvis(neutral: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -503,6 +561,61 @@ def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
     duration = len(table) / rate_hz
     known = drawn_together(variance, 2 * duration * (NOISE_BAND_HZ[1] - NOISE_BAND_HZ[0]))
     return {name: np.sqrt(row) for name, row in zip(names, known, strict=True)}
+
+
+def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
+    """How much more power the markers' noise has in each band of BANDS_HZ than white noise would, 1 or more.
+
+    The two markers of the interface sit on one plate: whatever it does, only their noise changes their distance, which
+    is compared with itself where `marker_noise` looks. Some seconds hold few periods of the slow bands, so only what
+    chance would hardly make is believed; noise that is slow is louder the slower. ``markers`` is markers.parquet of the
+    neutral trial, without which the pelvis would have to stand still.
+    """
+    table = pq.read_table(markers)
+    left, right = (
+        bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
+        for name in INTERFACE_MARKERS
+    )
+    distance = np.linalg.norm(left - right, axis=1)
+    power = dct(distance - distance.mean(), norm="ortho") ** 2
+    frequency = np.arange(len(power)) * rate_hz / (2 * len(power))
+    known = (frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])
+    colour = np.ones(len(BANDS_HZ) - 1)
+    for b in np.flatnonzero(np.array(BANDS_HZ[1:]) <= NOISE_BAND_HZ[0]):
+        inside = (frequency >= BANDS_HZ[b]) & (frequency < BANDS_HZ[b + 1]) & (frequency > 0)
+        louder = power[inside].mean() / power[known].mean() if inside.any() else 1.0
+        if louder > f.ppf(COLOUR_SURE, max(inside.sum(), 1), known.sum()):
+            colour[b] = louder
+    return np.maximum.accumulate(colour[::-1])[::-1]
+
+
+def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:
+    """SD (6,) [m, rad] of the rest pose of the interface: the mean of its coordinates over a person who sways.
+
+    Means of seconds are taken as independent of each other. ``pose`` is pose.parquet of the neutral trial.
+    """
+    q, second = measured_coordinates(pose, "q"), round(rate_hz)
+    seconds = q[: len(q) // second * second].reshape(-1, second, len(AXES)).mean(axis=1)
+    return np.asarray(seconds.std(axis=0, ddof=1) / np.sqrt(len(seconds)))
+
+
+def robot_noise(neutral: Path, trial: Path, rate_hz: float) -> np.ndarray:
+    """SD (6,) of the white noise of the robot's log [m, rad]: as quiet standing shows it between 3 and 7 Hz.
+
+    Where ``neutral`` has no log, as the trial itself shows it between 7 and 10 Hz, where hardly anybody moves. Both are
+    robot.parquet. Zero without either.
+    """
+    for path, (low, high) in ((neutral, NOISE_BAND_HZ), (trial, QUIET_BAND_HZ)):
+        table = pq.read_table(path)
+        columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
+        if np.isfinite(columns).all(axis=1).mean() < 0.5:
+            continue
+        frequency, power = welch(
+            bridged(columns), rate_hz, nperseg=min(len(columns), 256), axis=0, detrend="linear"
+        )
+        inside = (frequency > low) & (frequency < high)
+        return np.asarray(np.sqrt(power[inside].mean(axis=0) * rate_hz / 2))
+    return np.zeros(len(ROBOT_JOINTS))
 
 
 def drawn_together(variance: np.ndarray, freedom: float) -> np.ndarray:

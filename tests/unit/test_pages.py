@@ -206,11 +206,11 @@ def test_page_names_the_gates_that_refuse_what_it_rests_on(tmp_path):
 def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_path):
     exchanged = _diagnosis(train=["dynamic_2"], held_out=["dynamic_1"], shown_on=["dynamic_2"])
     text = _page(tmp_path, exchanged).text
-    assert "Only dynamic_2 shows a gap: the effects were fitted on it" in text
+    assert "Only dynamic_2 leaves more than noise: effects were fitted on it" in text
     assert "on dynamic_2, J falls" in text
     # chi-squared of the trial that shows the gap, the first of the two
     assert "the plain model 9 and the model with the effect 1.1" in text
-    assert "shows a gap: the effects" not in _page(tmp_path, _diagnosis()).text
+    assert "leaves more than noise: effects" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):

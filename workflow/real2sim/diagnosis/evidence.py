@@ -293,6 +293,7 @@ class Evidence:
             unit = replace(placed, scales=self.scales)
             x = self.rest_sd[placed.where.axes[0]] / unit.values(np.ones((1, 1)))
             out.append(self._moved_by([unit], parameters, [x]) - plain)
+        # a rest pose that MuJoCo gives up on is none that the strap has
         return np.nan_to_num(np.array(out))
 
     def _moved_by(self, effects: list, parameters: np.ndarray, x: list[np.ndarray]) -> np.ndarray:
@@ -555,12 +556,17 @@ def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
     variance = np.empty((len(names), 3))
     for i, name in enumerate(names):
         path = bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
-        frequency, power = welch(path, rate_hz, nperseg=min(len(path), 256), axis=0, detrend="linear")
-        inside = (frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])
-        variance[i] = np.maximum(power[inside].mean(axis=0) * rate_hz / 2, SMALLEST_NOISE_M**2)
+        variance[i] = np.maximum(_white_variance(path, rate_hz, NOISE_BAND_HZ), SMALLEST_NOISE_M**2)
     duration = len(table) / rate_hz
     known = drawn_together(variance, 2 * duration * (NOISE_BAND_HZ[1] - NOISE_BAND_HZ[0]))
     return {name: np.sqrt(row) for name, row in zip(names, known, strict=True)}
+
+
+def _white_variance(series: np.ndarray, rate_hz: float, band_hz: tuple[float, float]) -> np.ndarray:
+    """Variance (k,) of white noise as loud as a series (n, k) is within a band; Welch's windows hold what is slower."""
+    frequency, power = welch(series, rate_hz, nperseg=min(len(series), 256), axis=0, detrend="linear")
+    inside = (frequency > band_hz[0]) & (frequency < band_hz[1])
+    return np.asarray(power[inside].mean(axis=0) * rate_hz / 2)
 
 
 def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
@@ -569,7 +575,7 @@ def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
     The two markers of the interface sit on one plate: whatever it does, only their noise changes their distance, which
     is compared with itself where `marker_noise` looks. Some seconds hold few periods of the slow bands, so only what
     chance would hardly make is believed; noise that is slow is louder the slower. ``markers`` is markers.parquet of the
-    neutral trial, without which the pelvis would have to stand still.
+    neutral trial.
     """
     table = pq.read_table(markers)
     left, right = (
@@ -605,16 +611,11 @@ def robot_noise(neutral: Path, trial: Path, rate_hz: float) -> np.ndarray:
     Where ``neutral`` has no log, as the trial itself shows it between 7 and 10 Hz, where hardly anybody moves. Both are
     robot.parquet. Zero without either.
     """
-    for path, (low, high) in ((neutral, NOISE_BAND_HZ), (trial, QUIET_BAND_HZ)):
+    for path, band in ((neutral, NOISE_BAND_HZ), (trial, QUIET_BAND_HZ)):
         table = pq.read_table(path)
         columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
-        if np.isfinite(columns).all(axis=1).mean() < 0.5:
-            continue
-        frequency, power = welch(
-            bridged(columns), rate_hz, nperseg=min(len(columns), 256), axis=0, detrend="linear"
-        )
-        inside = (frequency > low) & (frequency < high)
-        return np.asarray(np.sqrt(power[inside].mean(axis=0) * rate_hz / 2))
+        if np.isfinite(columns).all(axis=1).mean() >= 0.5:
+            return np.asarray(np.sqrt(_white_variance(bridged(columns), rate_hz, band)))
     return np.zeros(len(ROBOT_JOINTS))
 
 

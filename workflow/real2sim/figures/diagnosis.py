@@ -236,8 +236,8 @@ def _exchanged(d: Mapping[str, Any]) -> str:
         return ""
     fitted, other = _trials(d["train"]), _trials(d["held_out"])
     return (
-        f"Only {fitted} shows a gap: the effects were fitted on it and had to leave {other} as it is. How far the gap "
-        "shrinks is told of the trial that was fitted; one more of its kind would check it."
+        f"Only {fitted} leaves more than noise: effects were fitted on it and had to leave {other} as it is. How far a "
+        "gap shrinks is told of the trial that was fitted; one more of its kind would check it."
     )
 
 

@@ -37,7 +37,7 @@ SCALES = (
     "none_gain",
     "none_temperature",
     "unknown_unexplained",
-    "unknown_excess",
+    "unknown_scatter",
 )
 SHIFTS = ("none", "unknown")
 PULL_SD = {"scale": 1.0, "shift": 3.0}

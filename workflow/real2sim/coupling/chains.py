@@ -26,6 +26,7 @@ class Context:
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
     ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken.
+    ``strap_force`` (m, n, 3) [N, pelvis axes] on the interface in an earlier simulation, where there was one.
     """
 
     time_s: np.ndarray
@@ -41,6 +42,7 @@ class Context:
     rates: np.ndarray
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
+    strap_force: np.ndarray | None = None
 
 
 # ---------------------------------------------------------------- how the interface was seen
@@ -137,6 +139,21 @@ class RestTurned:
         """Start as seen, rest pose turned about the pelvis' axis."""
         turn = Rotation.from_rotvec(values[0] * np.eye(3)[axes[0] - 3]).as_matrix()
         return replace(seen, rest_rotation=turn @ seen.rest_rotation)
+
+    def seen(self, paths, rotation, values, context):
+        """As they are."""
+        return paths
+
+
+class Elsewhere:
+    """Interface and robot start elsewhere: values (m, 6) are displacement [m] and turn [rad] in world axes."""
+
+    of_markers = False
+
+    def true(self, values, seen, context, axes):
+        """Moved and turned; the strap rests as seen."""
+        turn = Rotation.from_rotvec(values[3:]).as_matrix()
+        return replace(seen, rotation=turn @ seen.rotation, position=seen.position + values[:3])
 
     def seen(self, paths, rotation, values, context):
         """As they are."""
@@ -281,7 +298,9 @@ def reaction(values, context, where, parameters):
     """Forces (m, steps, 2) [N] on the base of gain, delay and smoothing (m, 3)."""
     # what the strap does to the interface, seen by a controller in the plane, answered late and with its bandwidth
     stiffness, damping = parameters[:, None, :3], parameters[:, None, 6:9]
-    force = -(stiffness * context.coordinates[..., :3] + damping * context.rates[..., :3])
+    force = context.strap_force
+    if force is None:
+        force = -(stiffness * context.coordinates[..., :3] + damping * context.rates[..., :3])
     world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
     # before the trial the person stood as in its first moments; the very first sample is a jolt of the simulation
     before = world[:, : context.start].mean(axis=1)

@@ -36,6 +36,7 @@ from real2sim.coupling.mechanisms import (
     RobotImpedance,
     RobotRelaxation,
     Scales,
+    SoftDeadBand,
     SplitSpring,
     Stop,
     TurnedAxes,
@@ -243,6 +244,20 @@ EFFECTS: tuple[Effect, ...] = (
         "A",
         _LADDER,
         plant=SplitSpring(lambda v, where: (-v[:, 0], v[:, 0], 1.0, 1.0)),
+        replaces_spring=True,
+    ),
+    Effect(
+        "slack",
+        "interface",
+        "F = k sgn(q) mean of max(|q| - w_i, 0), w_i = w (1 - s), w, w (1 + s): the load is taken up little by little",
+        (
+            EffectParameter("half_width", "m|rad", 0.02, 1.2, (0.3,), _q, log=True),
+            EffectParameter("softness", "1", 0.1, 1.0, (0.5,)),
+        ),
+        "A",
+        _LADDER,
+        plant=SoftDeadBand(),
+        form="_soft",
         replaces_spring=True,
     ),
     Effect(

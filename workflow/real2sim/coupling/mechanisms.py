@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from real2sim.coupling.plant import STRAP_JOINTS
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS
 from real2sim.geometry import AXES
 
 
@@ -135,6 +135,35 @@ class SplitSpring:
         fields["tendon_lengthspring"][:, above, 0], fields["tendon_lengthspring"][:, above, 1] = -_FAR, high
         fields["tendon_stiffness"][:, below] = lower * parameters[:, axis]
         fields["tendon_stiffness"][:, above] = upper * parameters[:, axis]
+
+
+class SoftDeadBand:
+    """The axis' spring in three equal parts with dead bands of their own: values are half width and softness, (m, 2).
+
+    The half widths are the value less and plus the softness as a share of it, and the value: what a slack strap of foam
+    or belt does, which takes up its load little by little.
+    """
+
+    _PARTS = (-1.0, 0.0, 1.0)
+
+    def build(self, spec, where):
+        """Three fixed tendons over the strap joint."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        for i in range(len(self._PARTS)):
+            _tendon(spec, f"band{i}_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[0, 0])
+
+    def set(self, fields, where, parameters, values):
+        """Dead bands and stiffness of the parts; the joint's own spring is off."""
+        axis = where.axes[0]
+        half_width, softness = values.T
+        fields["jnt_stiffness"][:, fields.joint(axis)] = 0
+        for i, part in enumerate(self._PARTS):
+            index, width = fields.tendon(f"band{i}_{where.element}"), half_width * (1 + part * softness)
+            fields["tendon_lengthspring"][:, index, 0], fields["tendon_lengthspring"][:, index, 1] = (
+                -width,
+                width,
+            )
+            fields["tendon_stiffness"][:, index] = parameters[:, axis] / len(self._PARTS)
 
 
 class OneSided:
@@ -451,6 +480,21 @@ class RestShift:
                 fields["tendon_range"][:, index] += coefficient * values
 
 
+class HoldShift:
+    """The robot's controller holds elsewhere than where the robot starts: values (m, 6) [m, rad], robot joints.
+
+    Only where the plant is set up anew for every call, as sightings make it.
+    """
+
+    def build(self, spec, where):
+        """Nothing: what a joint's spring is drawn to is a field."""
+
+    def set(self, fields, where, parameters, values):
+        """Spring references of the robot's joints."""
+        for i, name in enumerate(ROBOT_JOINTS):
+            fields["qpos_spring"][:, fields.model.joint(name).qposadr[0]] += values[:, i]
+
+
 def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:
     """Fixed tendons over a joint: index and coefficient."""
     out = []
@@ -614,8 +658,8 @@ class PlannedForce:
     """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
 
     ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm]; ``joints`` are
-    names, or None for the strap joint of the effect's axis. ``rounds`` above 1 simulate and plan again: the context's
-    coordinates and rates are then the simulated ones (m, n, 6), which lack the noise of the measured ones.
+    names, or None for the strap joint of the effect's axis. ``rounds`` above 1 simulate and plan again: the context
+    then has the strap's force in the simulation before.
     """
 
     def __init__(

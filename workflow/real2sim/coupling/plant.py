@@ -115,6 +115,16 @@ def robot_pose_for(robot: mujoco.MjModel, rotation: np.ndarray, position: np.nda
     raise ValueError(f"the robot twin cannot reach the interface pose at {np.round(position, 3)} m")
 
 
+def interface_pose_at(robot: mujoco.MjModel, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and midpoint (3,) [m, world] of the interface at robot joints (6,), order `ROBOT_JOINTS`."""
+    data = mujoco.MjData(robot)
+    for name, value in zip(ROBOT_JOINTS, joints, strict=True):
+        data.joint(name).qpos = value
+    mujoco.mj_kinematics(robot, data)
+    rotation = data.body("interface").xmat.reshape(3, 3).copy()
+    return rotation, data.body("interface").xpos + rotation @ interface_site_offset(robot)
+
+
 def impedances(robot_settings: dict, controller: str) -> dict[str, dict[str, float]]:
     """Stiffness and damping of the robot's joints by name, from the slice ``robot`` of the configuration."""
     base, arm = robot_settings[controller], robot_settings["arm"]

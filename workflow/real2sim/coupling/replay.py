@@ -82,6 +82,9 @@ class Replay:
         Robot joints (6,) at the start.
     """
 
+    # What is recorded of every step
+    _fields: tuple[str, ...] = ("sensordata",)
+
     def __init__(
         self,
         *,
@@ -142,7 +145,10 @@ class Replay:
         adr = self.model.sensor("position_interface_left").adr[0]
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
-        self._record = {"sensordata": np.empty((nsim, self.nstep, self.model.nsensordata))}
+        sizes = {"sensordata": self.model.nsensordata}
+        self._record = {
+            name: np.empty((nsim, self.nstep, sizes.get(name, self.model.nv))) for name in self._fields
+        }
 
     @cached_property
     def _twin(self) -> mujoco.MjModel:
@@ -257,11 +263,11 @@ class Replay:
         """Step the first m simulations to the end of the path; sensors (m, nstep, nsensordata)."""
         batch, ids = self._batch, np.arange(m)
         whole = m == batch.nsim
-        record = self._record if whole else {"sensordata": self._record["sensordata"][:m]}
+        record = self._record if whole else {name: rows[:m] for name, rows in self._record.items()}
         sensors = batch.rollout(
             self.nstep,
             self._control[:m],
-            record=("sensordata",),
+            record=self._fields,
             ids=None if whole else ids,
             out=record,
         )["sensordata"]

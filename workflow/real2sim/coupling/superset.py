@@ -21,7 +21,7 @@ from real2sim.coupling.mechanisms import (
     Stop,
     YieldBeyondWheels,
 )
-from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
+from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, StartPose, servo_command
 
 # Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
@@ -92,12 +92,11 @@ class EffectReplay(Replay):
         self._order = sorted(range(len(rests)), key=lambda i: rests[i])
         forces = [placed.effect.plant for placed in self.effects]
         self._rounds = max((f.rounds for f in forces if isinstance(f, PlannedForce)), default=1)
+        if self._rounds > 1:
+            self._fields = ("sensordata", "qfrc_passive", "qfrc_constraint")
         super().__init__(**replay)
         first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
         self._robot_columns = slice(first, first + 6)
-        if self._rounds > 1:
-            first = self.model.sensor(f"{STRAP_JOINTS[0]}_{mujoco.mjtSensor.mjSENS_JOINTPOS.name}").adr[0]
-            self._strap_columns = slice(first, first + 12)
         self._robot_joints = np.array([self.model.joint(name).id for name in ROBOT_JOINTS])
         # several turns of the rest pose make R_x R_y R_z, as the interface's coordinates do: z is applied first
         self._sightings = sorted(
@@ -107,7 +106,7 @@ class EffectReplay(Replay):
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
-        self._moved: np.ndarray | None = None
+        self._pull: np.ndarray | None = None
         self._parameters = np.empty((0, 12))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
@@ -138,12 +137,6 @@ class EffectReplay(Replay):
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=logged.get(name, name),
             )
-        if self._rounds > 1:
-            for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
-                for name in STRAP_JOINTS:
-                    spec.add_sensor(
-                        name=f"{name}_{kind.name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name
-                    )
         if any(placed.effect.sighting for placed in self.effects):
             spec.add_sensor(
                 name="interface_rotation",
@@ -256,10 +249,10 @@ class EffectReplay(Replay):
         self._values, self._parameters = values, parameters
         if self._sightings:
             self._see(m)
-        self._moved = None
+        self._pull = None
         sensors = self._simulate(parameters)
         for _ in range(self._rounds - 1):
-            self._moved = sensors[:, :: self.stride, self._strap_columns].copy()
+            self._pull = self._strap_force(m)
             sensors = self._simulate(parameters)
         paths = self._samples(sensors)
         start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
@@ -273,6 +266,17 @@ class EffectReplay(Replay):
                 paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
         assert len(paths) == m
         return paths, joints
+
+    def _strap_force(self, m: int) -> np.ndarray:
+        """Force (m, n, 3) [N, pelvis axes] of the strap on the interface in the last call, by whatever law it pulls."""
+        dofs = self._dofs[:3]
+        of_springs, of_stops = (self._record[name][:m, :: self.stride, dofs] for name in self._fields[1:])
+        force = of_springs + of_stops
+        for i, columns in self._columns_of.items():
+            axes = self.effects[i].where.axes
+            if axes and axes[0] < 3:
+                force[..., axes[0]] += self._control[:m, :: self.stride, columns[0]]
+        return force
 
     def _seen(
         self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray
@@ -338,8 +342,8 @@ class EffectReplay(Replay):
         else:
             assert isinstance(placed.effect.plant, PlannedForce)
             context = self._context
-            if placed.effect.plant.rounds > 1 and self._moved is not None:
-                context = replace(context, coordinates=self._moved[:m, :, :6], rates=self._moved[:m, :, 6:])
+            if placed.effect.plant.rounds > 1:
+                context = replace(context, strap_force=self._pull)
             force = placed.effect.plant.force(values, context, placed.where, self._parameters[:m])
             self._control[:m, :, self._columns_of[i]] += force
 

@@ -3,8 +3,8 @@
 Every refitted set of effects is scored by what it leaves of chi-squared on the training and the held-out trial. The
 scores become probabilities by a softmax whose temperature grows with what even the best set leaves over: where the
 model is not exact, small differences mean nothing. `none` is the plain plant; `unknown` grows with the share of the gap
-that nothing in the catalogue explains. The few constants are fitted on development cases (config,
-``diagnosis.calibration``).
+that nothing in the catalogue explains, and the more so where different effects explain the rest equally badly. The few
+constants are fitted on development cases (config, ``diagnosis.calibration``).
 """
 
 from __future__ import annotations
@@ -24,6 +24,12 @@ ISOLATED = ("outliers",)
 IN_THE_RUNNING = 0.02
 # Probability below which the likeliest single law does not put `none` in question
 QUESTIONABLE = 0.05
+# What noise may leave above its expectation, in SD of chi-squared, before it counts as unexplained
+GRANTED_SD = 2.0
+# ... and beside that, as a share of the expectation: the level of the noise itself is measured to about a twentieth
+GRANTED_SHARE = 0.1
+# However clearly one effect is ahead, this much counts as belonging to others
+LEAST_SCATTER = 0.05
 
 
 @dataclass(frozen=True)
@@ -55,17 +61,14 @@ class Decision:
     chosen: int | None
 
 
-def features(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int]) -> dict[str, float]:
-    """What the gate looks at: gap and excess in SD of chi-squared, and the share of the gap left unexplained."""
+def unexplained(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int]) -> float:
+    """Share of the gap that even the best set leaves, less what noise may leave: 0 where all of it is explained."""
     total, n = sum(plain.chi2), sum(samples)
     best = min((sum(c.chi2) + 2 * c.parameters for c in candidates), default=total)
-    best = min(best, total)
     spread = np.sqrt(2 * n)
-    return {
-        "gap_sd": (total - n) / spread,
-        "excess_sd": (best - n) / spread,
-        "unexplained": max(best - n, 0.0) / max(total - n, spread),
-    }
+    return float(
+        max(min(best, total) - (1 + GRANTED_SHARE) * n - GRANTED_SD * spread, 0.0) / max(total - n, spread)
+    )
 
 
 def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> float:
@@ -82,7 +85,7 @@ def is_out_of_reach(plain: tuple[float, float], samples: tuple[int, int], c: Map
     Given chi-squared of the plain plant on both trials; two SD of what noise leaves are granted to that law.
     """
     weights = np.array([c["train_weight"], 1.0])
-    gain = float(weights @ (np.array(plain) - samples)) + 2 * float(
+    gain = float(weights @ (np.array(plain) - samples)) + GRANTED_SD * float(
         np.sqrt(weights**2 @ (2 * np.array(samples)))
     )
     return (c["none_gain"] - gain) / c["none_temperature"] > np.log(1 / QUESTIONABLE - 1)
@@ -97,9 +100,8 @@ def logits(
     plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
 ) -> np.ndarray:
     """Unnormalised log-probabilities of the candidates, then of none and unknown."""
-    f = features(plain, candidates, samples)
-    excess = max(f["excess_sd"], 0.0) * np.sqrt(2 * sum(samples))
-    temperature = c["temperature"] + c["temperature_per_excess"] * excess
+    best_chi2 = min(sum(plain.chi2), *(sum(x.chi2) + 2 * x.parameters for x in candidates), np.inf)
+    temperature = c["temperature"] + c["temperature_per_excess"] * max(best_chi2 - sum(samples), 0.0)
 
     further = further_price(plain.chi2, samples, c)
 
@@ -122,14 +124,26 @@ def logits(
     rows = [
         row if laws(x) else none + score(x) - score(plain) for row, x in zip(rows, candidates, strict=True)
     ]
-    rows.append(none)
-    unexplained = np.log(max(f["unexplained"], 1e-4))
-    rows.append(
-        c["unknown"]
-        + c["unknown_unexplained"] * unexplained
-        + c["unknown_excess"] * np.log1p(max(f["excess_sd"], 0))
-    )
-    return np.array(rows)
+    scatter = _scatter(plain, candidates, np.array(rows), c)
+    # odds against all laws together: that many of them compete is no reason to believe in one of them
+    of_laws = [row for row, x in zip(rows, candidates, strict=True) if laws(x)]
+    unknown = c["unknown"] + float(np.logaddexp.reduce(of_laws) if of_laws else 0.0)
+    unknown += c["unknown_unexplained"] * np.log(max(unexplained(plain, candidates, samples), 1e-4))
+    unknown += c["unknown_scatter"] * np.log(max(scatter, LEAST_SCATTER))
+    return np.array([*rows, none, unknown])
+
+
+def _scatter(
+    plain: Candidate, candidates: Sequence[Candidate], rows: np.ndarray, c: Mapping[str, float]
+) -> float:
+    """How much of the effects' probability does not belong to the likeliest one: 0 where one effect has it all."""
+    named = [i for i, candidate in enumerate(candidates) if not candidate.makeshift]
+    if not named:
+        return 1.0
+    p = np.zeros(len(rows))
+    p[named] = np.exp(rows[named] - rows[named].max())
+    shares = _shares(plain, candidates, p, c)
+    return 1 - max(shares.values()) / sum(shares.values())
 
 
 def _shared(rows: Sequence[float], answers: Sequence[Hashable]) -> list[float]:
@@ -154,17 +168,10 @@ def decide(
     p /= p.sum()
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
     makeshift = np.array([candidate.makeshift for candidate in candidates], dtype=bool)
-    for candidate, of_set in zip(candidates, p, strict=False):
-        if candidate.makeshift:
-            probabilities[UNKNOWN] += float(of_set)
-            continue
-        for name, part in zip(
-            candidate.names, _earned(candidate, plain, candidates, calibration), strict=True
-        ):
-            probabilities[name] += float(of_set * part)
-    probabilities[NONE] = float(p[-2])
-    probabilities[UNKNOWN] += float(p[-1])
     sets = p[: len(candidates)]
+    probabilities |= _shares(plain, candidates, sets, calibration)
+    probabilities[NONE] = float(p[-2])
+    probabilities[UNKNOWN] = float(p[-1] + sets[makeshift].sum())
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
@@ -180,6 +187,19 @@ def decide(
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
     return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+
+
+def _shares(
+    plain: Candidate, candidates: Sequence[Candidate], p: np.ndarray, c: Mapping[str, float]
+) -> dict[str, float]:
+    """Probability of each effect from that of the sets, ``p`` (candidates,): a set's is shared by what they earn."""
+    shares: dict[str, float] = {}
+    for candidate, of_set in zip(candidates, p, strict=True):
+        if not candidate.makeshift:
+            earned = _earned(candidate, plain, candidates, c)
+            for name, part in zip(candidate.names, earned, strict=True):
+                shares[name] = shares.get(name, 0.0) + float(of_set * part)
+    return shares
 
 
 def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, makeshift: np.ndarray) -> str | None:

@@ -19,22 +19,32 @@ import pyarrow.parquet as pq
 from scipy.fft import dct, idct
 from scipy.signal import welch
 from scipy.spatial.transform import Rotation
-from scipy.stats import f
+from scipy.stats import chi2
 
 from real2sim import signals
-from real2sim.coupling.chains import Context
+from real2sim.coupling.chains import Context, Elsewhere
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Scales
-from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits
+from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
+from real2sim.coupling.mechanisms import HoldShift, Scales, Where
+from real2sim.coupling.plant import (
+    ROBOT_JOINTS,
+    STRAP_JOINTS,
+    JointLimits,
+    RestPose,
+    impedances,
+    interface_pose_at,
+    load_robot,
+)
 from real2sim.coupling.superset import EffectReplay, InputBasis
 from real2sim.geometry import (
     AXES,
     INTERFACE_MARKERS,
     PELVIS_MARKERS,
+    interface_coordinates,
     interface_frame,
     mean_rotation,
     pelvis_frame,
+    relative_pose,
     rotation_matrix,
 )
 from real2sim.identification.cost import CostScales, TrialCost
@@ -54,18 +64,42 @@ SMALLEST_NOISE_M = 2e-5
 SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.08
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
-# Probability from which noise that looks slower than white is taken as such
+# Probability from which noise that looks slower than white is taken as such, and the slow noise that is tried: power
+# against the white one's at low frequencies, and the corner above which it falls
 COLOUR_SURE = 0.999
+_SLOW_POWERS = np.geomspace(0.3, 1000, 30)
+_SLOW_CORNERS_HZ = np.geomspace(0.05, 3.0, 20)
 # Where a moving person hardly moves
 QUIET_BAND_HZ = (7.0, 10.0)
-# A strap that rests elsewhere along one axis
-_ONES = np.ones(6)
+# A strap that rests elsewhere along one axis, and a robot that starts elsewhere
 _RESTS = [
-    Placed(effect, where, Scales(_ONES, _ONES, _ONES, _ONES, _ONES))
+    (effect, where)
     for effect in EFFECTS
     if effect.name == "preload" and not effect.form
     for where in effect.places()
 ]
+_START = Effect(
+    "start",
+    "robot",
+    "the robot stands elsewhere at the start than it was seen",
+    tuple(EffectParameter(f"start_{axis}", "m|rad", -1.0, 1.0, (0.0,)) for axis in AXES),
+    "start",
+    "",
+    scope="whole",
+    sighting=Elsewhere(),
+)
+_HOLD = Effect(
+    "hold",
+    "robot",
+    "the controller holds elsewhere than where the robot starts",
+    tuple(EffectParameter(f"hold_{joint}", "m|rad", -1.0, 1.0, (0.0,)) for joint in ROBOT_JOINTS),
+    "hold",
+    "",
+    scope="whole",
+    plant=HoldShift(),
+)
+# How far the start is moved to learn what that does [m, rad]
+_START_STEP = 1e-3
 # Band edges [Hz] within which the noise is taken as equal
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
 
@@ -99,8 +133,10 @@ class Evidence:
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
     paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
-    what it does (`rest_uncertainty`). What input chains and noise make of the pelvis' path is
-    kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
+    what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off, and
+    ``holds`` (6, n, c) what a controller does that holds elsewhere (`_hold_sd`). What input chains and noise make of
+    the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are
+    ``start_joints``.
     """
 
     trial: Trial
@@ -122,6 +158,8 @@ class Evidence:
     noise: np.ndarray | None = None
     start_joints: np.ndarray | None = None
     rests: np.ndarray | None = None
+    starts: np.ndarray | None = None
+    holds: np.ndarray | None = None
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
@@ -238,7 +276,7 @@ class Evidence:
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         n = len(self.trial.time_s)
-        self.rests = self._other_rests(parameters)
+        self.rests, self.starts, self.holds = self._elsewhere(parameters)
         self.noise = error = self._noise(parameters, draws, seed)
         floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
@@ -277,32 +315,64 @@ class Evidence:
         replay = self.replay(list(effects), draws + 1, coarse=True)
         self._shake(replay, draws, seed)
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
-        markers -= markers[:, : self.context.start].mean(axis=1, keepdims=True)
         rng = np.random.default_rng([seed, draws])
         logged = self.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
-        if self.rests is not None:
-            error = error + np.tensordot(rng.standard_normal((draws, len(self.rests))), self.rests, axes=1)
+        assert self.rests is not None
+        assert self.starts is not None
+        assert self.holds is not None
+        for poses in (self.rests, self.holds):
+            error = error + np.tensordot(rng.standard_normal((draws, len(poses))), poses, axes=1)
+        error = error + np.tensordot(self._misjudged(markers), self.starts, axes=1)
         return self._without_gaps(error)
 
-    def _other_rests(self, parameters: np.ndarray) -> np.ndarray:
-        """Residuals (6, n, c) of a strap that rests one SD (`rest_uncertainty`) from where neutral has it, by axis."""
-        out = []
-        plain = self._moved_by([], parameters, [])
-        for placed in _RESTS:
-            unit = replace(placed, scales=self.scales)
-            x = self.rest_sd[placed.where.axes[0]] / unit.values(np.ones((1, 1)))
-            out.append(self._moved_by([unit], parameters, [x]) - plain)
-        # a rest pose that MuJoCo gives up on is none that the strap has
-        return np.nan_to_num(np.array(out))
+    def _misjudged(self, markers: np.ndarray) -> np.ndarray:
+        """How far noise (draws, n, 2, 3) [m] of the markers moves and turns the start pose: (draws, 6) [m, rad]."""
+        left, right = np.moveaxis(markers[:, : self.context.start].mean(axis=1), 1, 0)
+        bar = np.diff(np.nanmean(self.trial.interface[: self.context.start], axis=0)[::-1], axis=0)[0]
+        return np.hstack([(left + right) / 2, np.cross(bar, left - right) / (bar @ bar)])
 
-    def _moved_by(self, effects: list, parameters: np.ndarray, x: list[np.ndarray]) -> np.ndarray:
-        """Interface markers and, where it was logged, robot (n, c) of a simulation."""
-        paths, joints = self.replay(effects, 1, coarse=True).run_effects(parameters[None], x)
-        channels = [paths.reshape(1, -1, 6)]
+    def _elsewhere(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What a strap that rests, a robot that starts and a controller that holds elsewhere does to the residuals.
+
+        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
+        for what the controller may hold at (`_hold_sd`), by robot joint.
+        """
+        effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
+        effects += [Placed(e, Where((), 0, "", e.name), self.scales) for e in (_START, _HOLD)]
+        m = 1 + 3 * 6
+        x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]
+        for i, placed in enumerate(effects[:6]):
+            x[i][1 + i] = self.rest_sd[placed.where.axes[0]] / placed.values(np.ones((1, 1)))
+        x[6][7:13] = _START_STEP * np.eye(6)
+        x[7][13:] = np.diag(self._hold_sd(parameters))
+        replay = self.replay(effects, m, coarse=True)
+        paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
+        out = paths.reshape(m, -1, 6)
         if self.robot is not None:
-            channels.append(self._from_start(joints))
-        return np.concatenate(channels, axis=2)[0]
+            out = np.concatenate([out, self._from_start(joints)], axis=2)
+        # a pose that MuJoCo gives up on is none that was
+        moved = np.nan_to_num(out[1:] - out[:1])
+        return moved[:6], moved[6:12] / _START_STEP, moved[12:]
+
+    def _hold_sd(self, parameters: np.ndarray) -> np.ndarray:
+        """How far from the start pose (6,) [m, rad] the controller may hold, by robot joint.
+
+        A person who stands a little off the rest pose pulls at the robot, which may have come to rest against its
+        controller before the record began, or may be let go in its first sample: nothing in the record says which.
+        """
+        start = self.context.start
+        rotation, position = self.context.pelvis_rotation[:start], self.context.pelvis_position[:start]
+        return np.abs(
+            held_against(
+                load_robot(self.robot_file).compile(),
+                impedances(self.settings["robot"], "hold"),
+                self.replay([], 1, coarse=True).start_joints,
+                (mean_rotation(rotation), position.mean(axis=0)),
+                self.trial.rest,
+                parameters[:6],
+            )
+        )
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
@@ -320,10 +390,10 @@ class Evidence:
             frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
             louder = np.sqrt(self.colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
             white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
-        filtered = signals.lowpass(
-            white.reshape(n, -1), settings["rate_hz"], cutoff_hz, settings["filter_order"]
-        )
-        return filtered.reshape(white.shape)
+        rate, own = settings["rate_hz"], settings["cutoff_hz"]
+        if cutoff_hz < own:
+            return _from_standing(white, rate, cutoff_hz, self.context.start)
+        return signals.lowpass(white.reshape(n, -1), rate, own, settings["filter_order"]).reshape(white.shape)
 
     def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
@@ -369,6 +439,29 @@ class Evidence:
         return error
 
 
+def held_against(
+    robot: mujoco.MjModel,
+    held: dict[str, dict[str, float]],
+    joints: np.ndarray,
+    pelvis: tuple[np.ndarray, np.ndarray],
+    rest: RestPose,
+    stiffness: np.ndarray,
+) -> np.ndarray:
+    """How far from its joints (6,) [m, rad] a robot's controller holds that is at rest against the strap.
+
+    ``held`` as from `impedances`; ``pelvis`` is its rotation (3, 3) and position (3,) [m, world], ``stiffness`` (6,)
+    that of the strap.
+    """
+
+    def coordinates(moved: np.ndarray) -> np.ndarray:
+        pose = relative_pose(*pelvis, *interface_pose_at(robot, moved))
+        return interface_coordinates(*pose, rest.rotation, rest.position)
+
+    here = coordinates(joints)
+    slopes = np.array([(coordinates(joints + 1e-5 * one) - here) / 1e-5 for one in np.eye(6)])
+    return np.asarray(slopes @ (stiffness * here)) / [held[name]["stiffness"] for name in ROBOT_JOINTS]
+
+
 def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarray:
     """Where marker paths, or residuals of them, (n, 2, 3) jump, (n, 2): fast content beyond ``sd`` times the usual.
 
@@ -383,13 +476,25 @@ def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarra
     return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
 
 
+def _from_standing(values: np.ndarray, rate_hz: float, cutoff_hz: float, start: int) -> np.ndarray:
+    """Low-passed series (n, ...) of somebody who stood still before it as on average in its first samples.
+
+    A filter that knows no better takes the first sample as it is, with all its noise, and the simulation starts there:
+    with markers of 3.4 mm the strap was 8 mm off at the start, and let the robot go there and come back.
+    """
+    before = np.repeat(values[:start].mean(axis=0)[None], round(rate_hz), axis=0)
+    flat = np.concatenate([before, values]).reshape(len(before) + len(values), -1)
+    return signals.lowpass(flat, rate_hz, cutoff_hz, 4)[len(before) :].reshape(values.shape)
+
+
 def smoothed_pelvis(
-    trial: Trial, sd: dict[str, np.ndarray], rate_hz: float, cutoff_hz: float
+    trial: Trial, sd: dict[str, np.ndarray], rate_hz: float, cutoff_hz: float, start: int
 ) -> tuple[Trial, float]:
     """The trial with its pelvis path low-passed to what stands out of the noise, and the cut-off [Hz].
 
     Noise of the replayed pelvis shakes loose what friction holds: a law with memory sees another motion than the
-    person made. Above the cut-off none of the six pelvis coordinates has three times the power of its noise.
+    person made. Above the cut-off none of the six pelvis coordinates has three times the power of its noise. The person
+    stands still in the first ``start`` samples.
     """
     position, vectors = bridged(trial.pelvis_position), _vectors(trial.pelvis_rotation)
     rigid = _rigid_markers(trial)
@@ -409,8 +514,8 @@ def smoothed_pelvis(
     if chosen >= cutoff_hz:
         return trial, cutoff_hz
     lost = ~np.isfinite(trial.pelvis_position).all(axis=1)
-    position = signals.lowpass(position, rate_hz, chosen, 4)
-    vectors = signals.lowpass(vectors, rate_hz, chosen, 4)
+    position = _from_standing(position, rate_hz, chosen, start)
+    vectors = _from_standing(vectors, rate_hz, chosen, start)
     first = trial.pelvis_rotation[np.argmax(np.isfinite(trial.pelvis_rotation).all(axis=(1, 2)))]
     rotation = first @ Rotation.from_rotvec(vectors).as_matrix()
     position[lost], rotation[lost] = np.nan, np.nan
@@ -455,8 +560,8 @@ def load_evidence(
         settle_s=ident["settle_after_gap_s"],
     )
     rate = settings["ingest"]["rate_hz"]
-    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"])
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
+    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     colour = noise_colour(neutral / "markers.parquet", rate)
     log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
@@ -570,11 +675,12 @@ def _white_variance(series: np.ndarray, rate_hz: float, band_hz: tuple[float, fl
 
 
 def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
-    """How much more power the markers' noise has in each band of BANDS_HZ than white noise would, 1 or more.
+    """How much more power the markers' noise has in each band of BANDS_HZ than where `marker_noise` looks, 1 or more.
 
-    The two markers of the interface sit on one plate: whatever it does, only their noise changes their distance, which
-    is compared with itself where `marker_noise` looks. Some seconds hold few periods of the slow bands, so only what
-    chance would hardly make is believed; noise that is slow is louder the slower. ``markers`` is markers.parquet of the
+    The two markers of the interface sit on one plate: whatever it does, only their noise changes their distance. White
+    noise and noise that forgets (an Ornstein-Uhlenbeck process: as loud below a corner, falling with the square of the
+    frequency above) are fitted to its spectrum by Whittle's likelihood, for some seconds hold few periods of the slow
+    bands; the slow one is believed only where chance would hardly make it. ``markers`` is markers.parquet of the
     neutral trial.
     """
     table = pq.read_table(markers)
@@ -583,16 +689,26 @@ def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
         for name in INTERFACE_MARKERS
     )
     distance = np.linalg.norm(left - right, axis=1)
-    power = dct(distance - distance.mean(), norm="ortho") ** 2
-    frequency = np.arange(len(power)) * rate_hz / (2 * len(power))
-    known = (frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])
+    frequency = np.arange(len(distance)) * rate_hz / (2 * len(distance))
+    seen = (frequency > 0) & (frequency < NOISE_BAND_HZ[1])
+    power = (dct(distance - distance.mean(), norm="ortho") ** 2)[seen]
+
+    def shape(loud: float, corner_hz: float, f: np.ndarray) -> np.ndarray:
+        return 1 + loud / (1 + (f / corner_hz) ** 2)
+
+    def deviance(loud: float, corner_hz: float) -> float:
+        g = shape(loud, corner_hz, frequency[seen])
+        return float(len(g) * np.log(np.mean(power / g)) + np.log(g).sum())
+
+    fits = [(deviance(a, c), a, c) for a in _SLOW_POWERS for c in _SLOW_CORNERS_HZ]
+    best, loud, corner = min(fits)
     colour = np.ones(len(BANDS_HZ) - 1)
-    for b in np.flatnonzero(np.array(BANDS_HZ[1:]) <= NOISE_BAND_HZ[0]):
-        inside = (frequency >= BANDS_HZ[b]) & (frequency < BANDS_HZ[b + 1]) & (frequency > 0)
-        louder = power[inside].mean() / power[known].mean() if inside.any() else 1.0
-        if louder > f.ppf(COLOUR_SURE, max(inside.sum(), 1), known.sum()):
-            colour[b] = louder
-    return np.maximum.accumulate(colour[::-1])[::-1]
+    if deviance(0.0, 1.0) - best < chi2.ppf(COLOUR_SURE, 2):
+        return colour
+    known = shape(loud, corner, np.linspace(*NOISE_BAND_HZ)).mean()
+    for b in range(len(colour)):
+        colour[b] = shape(loud, corner, np.linspace(BANDS_HZ[b], BANDS_HZ[b + 1])).mean() / known
+    return np.maximum(colour, 1.0)
 
 
 def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:

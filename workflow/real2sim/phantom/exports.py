@@ -145,7 +145,7 @@ def write_trial_markers(
         positions = true_markers(settings, person, trial, t)
     rng = stream(settings, person.name, trial.name, "markers")
     for name, values in positions.items():
-        values += person.marker_noise_m * rng.standard_normal(values.shape)
+        values += person.marker_noise(rng, values.shape, rate)
         if smooth_hz is not None:
             positions[name] = smoothed(values, rate, smooth_hz)
     gaps = _gaps(settings, trial.kind, list(positions), t[-1], rng)
@@ -299,7 +299,7 @@ def write_trial_log(
     base = _odometry(settings, person, joints, rates, base_home)
     arm = {name: np.stack([joints[:, 3 + i], rates[:, 3 + i]], axis=-1) for i, name in enumerate(ARM_JOINTS)}
     if active(settings, "measurement", "encoder"):
-        _quantise(settings, base, arm)
+        _encode(settings, base, arm, stream(settings, person.name, trial.name, "encoder"))
     wrench = None
     if active(settings, "measurement", "wrench"):
         wrench = _wrench(settings, person, trial, t)
@@ -332,13 +332,23 @@ def _odometry(settings, person, joints, rates, base_home) -> dict[str, np.ndarra
     }
 
 
-def _quantise(settings: dict[str, Any], base: dict[str, np.ndarray], arm: dict[str, np.ndarray]) -> None:
-    m, r = (settings["measurement"]["encoder"][key] for key in ("position_m", "angle_rad"))
-    for values, unit in ((base["x"], m), (base["y"], m), (base["yaw"], r)):
-        values[:] = np.round(values / unit) * unit
+def _encode(
+    settings: dict[str, Any],
+    base: dict[str, np.ndarray],
+    arm: dict[str, np.ndarray],
+    rng: np.random.Generator,
+) -> None:
+    encoder = settings["measurement"]["encoder"]
+
+    def read(values: np.ndarray, kind: str) -> None:
+        values += encoder[f"noise_{kind}"] * rng.standard_normal(values.shape)
+        step = encoder[f"step_{kind}"]
+        values[:] = np.round(values / step) * step
+
+    for name, kind in (("x", "m"), ("y", "m"), ("yaw", "rad")):
+        read(base[name], kind)
     for name, values in arm.items():
-        unit = m if name == "arm_lift" else r
-        values[:, 0] = np.round(values[:, 0] / unit) * unit
+        read(values[:, 0], "m" if name == "arm_lift" else "rad")
 
 
 def _wrench(settings: dict[str, Any], person: Person, trial: Trial, t: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from real2sim.phantom.physics import AXES
@@ -33,7 +34,8 @@ class Person:
     ``parameters`` k_tx … d_rz; ``rest_rotation`` (3, 3) and ``rest_position`` (3,) of the interface in the
     pelvis; ``stops`` maps a level [cm] to (lower (6,), upper (6,)); ``markers`` (3,) in pelvis axes;
     ``pivot`` (3,) the turning point of the pelvis; ``soft_tissue`` marker → (3, 3) [m/rad] displacement per
-    roll, pitch, yaw.
+    roll, pitch, yaw. ``marker_noise_m`` is the SD of the markers' white noise, ``slow_noise`` that of the slow noise
+    beside it as a share of that, and ``slow_noise_s`` the time over which slow noise forgets.
     """
 
     name: str
@@ -46,6 +48,8 @@ class Person:
     pivot: np.ndarray
     soft_tissue: dict[str, np.ndarray]
     marker_noise_m: float
+    slow_noise: float = 0.0
+    slow_noise_s: float = 0.35
 
     @property
     def operating_level(self) -> int:
@@ -61,6 +65,16 @@ class Person:
     def damping(self) -> np.ndarray:
         """d_tx … d_rz, (6,)."""
         return np.array([self.parameters[n] for n in PARAMETER_NAMES[6:]])
+
+    def marker_noise(self, rng: np.random.Generator, shape: tuple[int, ...], rate_hz: float) -> np.ndarray:
+        """Noise [m] of marker coordinates (n, ...): white, and slow (an Ornstein-Uhlenbeck process) beside it."""
+        noise = rng.standard_normal(shape)
+        if self.slow_noise:
+            keep = np.exp(-1 / (rate_hz * self.slow_noise_s))
+            slow = np.sqrt(1 - keep**2) * rng.standard_normal(shape)
+            slow[0] /= np.sqrt(1 - keep**2)
+            noise += self.slow_noise * lfilter([1.0], [1.0, -keep], slow, axis=0)
+        return self.marker_noise_m * noise
 
 
 def draw_person(settings: dict[str, Any], name: str, interface_height: float) -> Person:

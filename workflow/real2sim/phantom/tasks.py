@@ -28,7 +28,7 @@ def motion_of(settings: dict[str, Any], person: Person, trial: str) -> Motion:
 
 
 def neutral(settings: dict[str, Any], rng: np.random.Generator) -> Motion:
-    """Quiet standing with a little sway, of zero mean over the swaying time."""
+    """Quiet standing with a little sway; in whole cycles its mean over the swaying time is zero."""
     trials, sway = settings["trials"], settings["effects"]["neutral_sway"]
     motion = Motion(trials["neutral_s"])
     if not active(settings, "effects", "neutral_sway"):
@@ -37,7 +37,9 @@ def neutral(settings: dict[str, Any], rng: np.random.Generator) -> Motion:
     for cycles in (2, 3, 5):
         amplitude = np.array([sway["amplitude_m"]] * 3 + [np.radians(sway["amplitude_deg"])] * 3)
         amplitude = amplitude * rng.uniform(0.2, 0.6, 6) * np.array([1, 1, 0.2, 1, 1, 1])
-        motion.sines.append((cycles / (trials["neutral_s"] - 2.3), rng.uniform(0, 2 * np.pi), amplitude))
+        phase = rng.uniform(0, 2 * np.pi)
+        whole = cycles if sway["whole_cycles"] else cycles * rng.uniform(0.1, 0.7)
+        motion.sines.append((whole / (trials["neutral_s"] - 2.3), phase, amplitude))
     return motion
 
 

@@ -159,6 +159,10 @@ def _synthesise(
     rng = stream(suite, case.id, "noise")
     low, high = (np.log(suite["noise"][key]) for key in ("low_m", "high_m"))
     person.marker_noise_m = float(np.exp(rng.uniform(low, high)))
+    rng = stream(suite, case.id, "slow noise")
+    if rng.random() < suite["noise"]["slow_share"]:
+        person.slow_noise = float(rng.uniform(*suite["noise"]["slow"]))
+        person.slow_noise_s = float(np.exp(rng.uniform(*np.log(suite["noise"]["slow_s"]))))
     smooth = None
     if case.stratum == "null_hard":
         person.marker_noise_m *= suite["noise"]["hard_factor"]
@@ -216,6 +220,13 @@ def _settings(suite: dict[str, Any], case: Case, phantom: dict[str, Any]) -> dic
     # the study measures no force
     settings["measurement"]["wrench"]["enabled"] = False
     settings["measurement"]["markerless_clock"]["drift_person"] = ""
+    settings["effects"]["neutral_sway"]["whole_cycles"] = False
+    rng = stream(suite, case.id, "robot noise")
+    low, high = (np.log(suite["noise"][f"log_{key}"]) for key in ("low", "high"))
+    settings["measurement"]["encoder"] |= {
+        "noise_m": float(np.exp(rng.uniform(low, high))),
+        "noise_rad": float(np.exp(rng.uniform(low, high))),
+    }
     return settings
 
 
@@ -306,7 +317,7 @@ def _linearise(world: _World, people: list[_Synthetic]) -> None:
 
 
 def _noise(p: _Synthetic, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    noise = p.person.marker_noise_m * rng.standard_normal(shape)
+    noise = p.person.marker_noise(rng, shape, RATE_HZ)
     return noise if p.smooth_hz is None else exports.smoothed(noise, RATE_HZ, p.smooth_hz)
 
 
@@ -707,6 +718,8 @@ def _truth(p: _Synthetic, notes: dict[str, Any], shares: dict[str, float] | None
             name: {"value": value, "unit": UNITS[name]} for name, value in p.person.parameters.items()
         },
         "noise_m": p.person.marker_noise_m,
+        "slow_noise": {"share": p.person.slow_noise, "forgets_s": p.person.slow_noise_s},
+        "log_noise": {key: p.settings["measurement"]["encoder"][f"noise_{key}"] for key in ("m", "rad")},
         "smooth_hz": p.smooth_hz,
         "held_out_regime": {"amplitude": p.regime[0], "speed": p.regime[1]},
         "rest_pose": {

@@ -104,6 +104,7 @@ NEUTRAL = {
     "base_compliance beyond_wheels": None,  # what is never rigid is never absent
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
+    "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
     "lab_yaw": [0.0],
@@ -462,6 +463,23 @@ def test_a_reaction_is_planned_from_the_motion_that_it_makes():
     # the measured coordinates of this trial are those of an interface that stands still
     assert np.linalg.norm(first - asked) > 0.5 * np.linalg.norm(asked)
     assert np.linalg.norm(applied - asked) < 0.05 * np.linalg.norm(asked)
+
+
+def test_an_admittance_is_a_reaction_and_what_it_has_kept_of_the_force():
+    context = replay([], seconds=3)._context
+    force = np.zeros((2, len(context.time_s), 3))
+    force[:, context.start :, 0] = 10.0
+    context = replace(context, strap_force=force)
+    values = np.array([[0.4, 0.4, 0.0, 0.0, 2.0, 0.05], [0.0, 0.0, 0.5, 0.2, 2.0, 0.0]])
+    both = chains.admittance(values, context, None, np.tile(PRIOR, (2, 1)))
+    plain = chains.reaction(
+        np.array([[0.4, 0.0, 0.05]]), replace(context, strap_force=force[:1]), None, PRIOR[None]
+    )
+    np.testing.assert_allclose(both[0], plain[0], atol=1e-9)
+    pull = np.einsum("nij,nj->ni", context.pelvis_rotation, force[0])[:, 0]
+    since = context.time_s[-1] - context.time_s[context.start]
+    # a force of 10 N, nearly along x, that leaks over 2 s
+    assert both[1, -1, 0] == pytest.approx(0.5 * pull.max() * 2.0 * (1 - np.exp(-since / 2.0)), rel=0.05)
 
 
 def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
@@ -1013,6 +1031,12 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
     quiet = [Hypothesis((tilt, damping), z, (2880.0, 2880.0))]
     assert _swapped(search, quiet, list(places.values()), settings) == []
+    # a late clock and a filter leave as little as each other: both are tried beside whatever else there is
+    late, smooth = (places[name, ""] for name in ("sync_offset", "filter_lag"))
+    start = np.concatenate([np.zeros(12), [0.0, 0.0], smooth.starts()[0]])
+    timed = [Hypothesis((tilt, smooth), start, (2880.0, 2880.0))]
+    tried = _swapped(search, timed, [tilt, late, smooth, friction], settings)
+    assert [h.key for h in tried] == [f"{tilt.key} + {late.key}"]
 
 
 def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through():

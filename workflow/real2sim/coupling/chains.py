@@ -315,6 +315,21 @@ def reaction(values, context, where, parameters):
     return out
 
 
+def admittance(values, context, where, parameters):
+    """Forces (m, steps, 2) [N] on the base of gains, integral gains [1/s] (x, y), leak and smoothing [s] (m, 6)."""
+    gains, rates, leak, smoothing = values[:, None, :2], values[:, None, 2:4], values[:, 4], values[:, 5]
+    felt = reaction(
+        np.column_stack([np.ones(len(values)), np.zeros(len(values)), smoothing]), context, where, parameters
+    )
+    dt = context.step_time_s[1] - context.step_time_s[0]
+    # what was pulled before the trial has leaked away or is part of where the controller holds
+    pulled = felt - felt[:, :1]
+    kept = [
+        lfilter([dt], [1, -np.exp(-dt / time)], row, axis=0) for row, time in zip(pulled, leak, strict=True)
+    ]
+    return gains * felt + rates * np.array(kept)
+
+
 def ratchet(values, context, where, parameters):
     """Forces (m, steps, 1) [N, Nm] on the strap joint of threshold and rate (m, 2)."""
     # the rest pose follows what is pulled beyond a threshold, at a rate, and never returns

@@ -626,6 +626,27 @@ EFFECTS: tuple[Effect, ...] = (
         ),
     ),
     Effect(
+        "controller_reaction",
+        "robot",
+        "F_base = g y + r I, T y' = F_interaction - y, I' = y - I / leak, g and r along x and y: an admittance",
+        (
+            *(EffectParameter(f"gain_{axis}", "1", -1.5, 4.0, (0.3,)) for axis in "xy"),
+            *(EffectParameter(f"integral_gain_{axis}", "1/s", -3.0, 6.0, (0.3,)) for axis in "xy"),
+            EffectParameter("leak", "s", 0.3, 20.0, (2.0,), log=True),
+            EffectParameter("smoothing", "s", 0.0, 0.5, (0.05,)),
+        ),
+        "controller_reaction",
+        "the same motion with the controller off",
+        scope="whole",
+        plant=PlannedForce(chains.admittance, ROBOT_JOINTS[:2], rounds=REACTION_ROUNDS),
+        form="integral",
+        remedy=(
+            "Add to base_x and base_y the strap's horizontal force on the interface, passed through a low-pass of first"
+            " order with the smoothing as time constant, times the gain, and its leaky integral (less what it was at"
+            " the start) times the integral gain"
+        ),
+    ),
+    Effect(
         "tilt",
         "robot",
         "gravity has a component along the floor",

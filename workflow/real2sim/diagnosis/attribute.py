@@ -49,6 +49,8 @@ RIVALS = (
     ("added_mass", "base_compliance", "controller_reaction"),
     ("replay_lag", "sync_offset", "clock_drift", "filter_lag"),
 )
+# A late clock, a late path and a filter leave as little as each other: what explains everything may be any of them
+TIMING = RIVALS[-1]
 # Longest step in ln or searched numbers that the screening believes
 LONGEST_STEP = 1.5
 
@@ -685,12 +687,14 @@ def _swapped(
     """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
 
     A member that was found first may hold the place of another: friction is half of a hysteresis, and the other way.
+    Timing effects are tried for each other however little is left.
     """
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     for member in best.effects:
-        if search.is_noise(best):
-            break
+        taken = not any(placed is member for placed in best.effects)
+        if taken or (search.is_noise(best) and member.effect.name not in TIMING):
+            continue
         kept = [i for i, placed in enumerate(best.effects) if placed is not member]
         others = tuple(best.effects[i] for i in kept)
         parts = best.split()

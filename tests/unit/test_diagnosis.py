@@ -102,6 +102,7 @@ NEUTRAL = {
     "base_compliance": [0.0] * 6,
     "base_compliance series": [-40.0] * 3,
     "base_compliance beyond_wheels": None,  # what is never rigid is never absent
+    "base_compliance rocking": None,
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
@@ -254,6 +255,28 @@ def test_a_base_that_yields_beyond_its_wheels_goes_further_than_they_show(plain)
     shown = [np.ptp(x[0, :, 0]) for x in (log, configured)]
     assert moved[0] > 1.05 * moved[1]
     assert shown[0] < 0.95 * shown[1]
+
+
+def test_a_robot_that_rocks_turns_about_the_floor_and_its_log_does_not_show_it(plain):
+    placed = placed_whole("base_compliance", "rocking")
+    model = replay([placed])
+    away = []
+    for stiffness in (300.0, 3_000.0, 30_000.0):
+        x = np.log([[stiffness, stiffness, 0.1, 1.0]])
+        paths, _ = model.run_effects(PRIOR[None], [x])
+        away.append(np.abs(paths[0] - plain[0]).max())
+        plant = model.as_simulated().model
+        data = mujoco.MjData(plant)
+        joint = plant.joint(f"rocking_pitch_{placed.where.element}")
+        data.qpos[joint.qposadr[0]] = 0.01
+        mujoco.mj_forward(plant, data)
+        assert float(data.qfrc_passive[joint.dofadr[0]]) == pytest.approx(-0.01 * stiffness)
+        # ten milliradians about the floor below the base, whose middle the interface is 0.55 m ahead of
+        c, sine = 1 - np.cos(0.01), np.sin(0.01)
+        expected = [0.95 * sine - 0.55 * c, 0.17, 0.95 * (1 - c) - 0.55 * sine]
+        np.testing.assert_allclose(data.site("interface_left").xpos, expected, atol=1e-4)
+        assert not any(data.joint(name).qpos[0] for name in ROBOT_JOINTS[1:])
+    assert away[0] > 3 * away[1] > 9 * away[2]
 
 
 def test_a_strap_that_wanders_pulls_by_its_way_from_the_first_motion_on():

@@ -35,6 +35,7 @@ from real2sim.coupling.mechanisms import (
     RestShift,
     RobotImpedance,
     RobotRelaxation,
+    Rocking,
     Scales,
     SoftDeadBand,
     SplitSpring,
@@ -606,6 +607,24 @@ EFFECTS: tuple[Effect, ...] = (
         scope="whole",
         plant=YieldBeyondWheels(ROBOT_JOINTS[:3]),
         form="beyond_wheels",
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "the robot rocks in roll and pitch on its suspension, unseen by its log: springs and dampers at the floor",
+        (
+            *(
+                EffectParameter(f"{axis}_stiffness", "Nm/rad", 50.0, 50_000.0, (600.0,), log=True)
+                for axis in ("roll", "pitch")
+            ),
+            EffectParameter("time_constant", "s", 0.005, 1.0, (0.1,), log=True),
+            EffectParameter("inertia", "kg m2", 0.1, 50.0, (3.0,), log=True),
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=Rocking(),
+        form="rocking",
     ),
     Effect(
         "controller_reaction",

@@ -654,6 +654,39 @@ class YieldBeyondWheels:
             fields["tendon_lengthspring"][:, fields.tendon(name)] = rest[:, None]
 
 
+class Rocking:
+    """The robot rocks on its suspension, which no encoder sees: what carries the arm turns about the floor.
+
+    Values (m, 4) are stiffness in roll and pitch [Nm/rad], time constant of the damping [s] and inertia of what rocks
+    beside the arm [kg m2]. The hinges are hidden, behind the arm's own.
+    """
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"rocking_{axis}_{where.element}" for axis in ("roll", "pitch")]
+
+    def build(self, spec, where):
+        """Two hinges on the floor below the middle of the base."""
+        arm = spec.body("arm")
+        base = np.array([arm.pos[0], arm.pos[1], arm.pos[2] + arm.parent.pos[2]])
+        for name, axis in zip(self._names(where), np.eye(3)[:2], strict=True):
+            arm.add_joint(
+                name=name,
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=axis,
+                pos=-base,
+                stiffness=[1, 0, 0],
+                damping=[1, 0, 0],
+            )
+
+    def set(self, fields, where, parameters, values):
+        """Springs, dampers and inertia."""
+        for name, stiffness in zip(self._names(where), values[:, :2].T, strict=True):
+            joint = fields.model.joint(name)
+            fields["jnt_stiffness"][:, joint.id] = stiffness
+            fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]
+            fields["dof_armature"][:, joint.dofadr[0]] = values[:, 3]
+
+
 class PlannedForce:
     """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
 

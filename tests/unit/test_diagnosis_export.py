@@ -17,7 +17,7 @@ from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects
 from real2sim.diagnosis.refit import Hypothesis
 
 from tests.unit.test_coupling import PRIOR, ROBOT
-from tests.unit.test_diagnosis import SCALES, replay
+from tests.unit.test_diagnosis import LEVEL, SCALES, replay
 
 LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
 
@@ -27,8 +27,8 @@ def named(name: str, form: str = "", place: int = 0) -> Placed:
     return Placed(effect, effect.places()[place], LOOSE)
 
 
-def acting(placed: list[Placed]) -> tuple[EffectReplay, np.ndarray]:
-    model = replay(placed)
+def acting(placed: list[Placed], **how) -> tuple[EffectReplay, np.ndarray]:
+    model = replay(placed, **how)
     # away from zero where an effect starts at nothing
     x = [p.starts()[-1:] if p.starts()[-1:].any() else p.bounds()[1][None] / 10 for p in placed]
     paths, _ = model.run_effects(PRIOR[None], x)
@@ -76,6 +76,18 @@ def test_the_file_moves_as_the_model_in_process(effect, tmp_path):
     assert loaded.ntext == 1
     assert bytes(loaded.text_data).rstrip(b"\0").decode() == "the person's < & \" strap"
     assert "include" not in file.read_text()
+
+
+@pytest.mark.parametrize("name", ["relaxation", "slack", "tilt"])
+def test_the_file_of_a_robot_that_had_come_to_rest_moves_as_the_model_in_process(name, tmp_path):
+    off = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
+    model, paths = acting([named(name)], settled=True, seen=off)
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
+    assert np.abs(paths[15] - paths[0]).max() < 1e-3
 
 
 @pytest.mark.parametrize("effect", [e for e in EFFECTS if e.sighting], ids=lambda e: f"{e.name}{e.form}")

@@ -73,6 +73,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "subject": "S01",
         "phantom": phantom,
         "refused_gates": {},
+        "robot_holds": "start pose",
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
         "noise_floor": {
@@ -201,6 +202,12 @@ def test_page_names_the_gates_that_refuse_what_it_rests_on(tmp_path):
     text = _page(tmp_path, _diagnosis(refused_gates={"S01/dynamic_2": ["spikes", "rate"]})).text
     assert "S01/dynamic_2 is refused by its gates (spikes, rate)" in text
     assert "refused by its gates" not in _page(tmp_path, _diagnosis()).text
+
+
+def test_page_says_where_the_controller_holds_where_that_is_not_the_start_pose(tmp_path):
+    text = _page(tmp_path, _diagnosis(robot_holds="balance")).text
+    assert "The robot had come to rest against the strap before the trials began" in text
+    assert "come to rest" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_path):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS
+from real2sim.coupling.plant import STRAP_JOINTS
 from real2sim.geometry import AXES
 
 
@@ -159,10 +159,7 @@ class SoftDeadBand:
         fields["jnt_stiffness"][:, fields.joint(axis)] = 0
         for i, part in enumerate(self._PARTS):
             index, width = fields.tendon(f"band{i}_{where.element}"), half_width * (1 + part * softness)
-            fields["tendon_lengthspring"][:, index, 0], fields["tendon_lengthspring"][:, index, 1] = (
-                -width,
-                width,
-            )
+            fields["tendon_lengthspring"][:, index] = np.stack([-width, width], axis=1)
             fields["tendon_stiffness"][:, index] = parameters[:, axis] / len(self._PARTS)
 
 
@@ -348,6 +345,13 @@ class Maxwell:
         for name, ratio in zip(self._names(where), self._ratios, strict=True):
             _set_branch(fields, name, values[:, 0] / len(self._ratios), values[:, 1] * ratio)
 
+    def relax(self, fields: Fields, where: Where, position: np.ndarray) -> None:
+        """Let no branch pull at joint positions (m, nq), which are changed in place."""
+        strap = fields.model.joint(STRAP_JOINTS[where.axes[0]]).qposadr[0]
+        for name in self._names(where):
+            own = fields.model.joint(name).qposadr[0]
+            position[:, own] = position[:, strap] - fields["tendon_lengthspring"][:, fields.tendon(name), 0]
+
 
 def _branch(spec: mujoco.MjSpec, name: str, joint: str) -> None:
     """A spring and a damper in series on a joint, at rest where that is zero."""
@@ -478,21 +482,6 @@ class RestShift:
             fields["tendon_lengthspring"][:, index] += coefficient * values
             if fields.model.tendon_limited[index]:
                 fields["tendon_range"][:, index] += coefficient * values
-
-
-class HoldShift:
-    """The robot's controller holds elsewhere than where the robot starts: values (m, 6) [m, rad], robot joints.
-
-    Only where the plant is set up anew for every call, as sightings make it.
-    """
-
-    def build(self, spec, where):
-        """Nothing: what a joint's spring is drawn to is a field."""
-
-    def set(self, fields, where, parameters, values):
-        """Spring references of the robot's joints."""
-        for i, name in enumerate(ROBOT_JOINTS):
-            fields["qpos_spring"][:, fields.model.joint(name).qposadr[0]] += values[:, i]
 
 
 def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:

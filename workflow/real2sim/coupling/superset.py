@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import (
     DryFriction,
     Fields,
+    Maxwell,
     PlannedForce,
     RestShift,
     Scales,
@@ -22,7 +24,7 @@ from real2sim.coupling.mechanisms import (
     YieldBeyondWheels,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
-from real2sim.coupling.replay import Replay, StartPose, servo_command
+from real2sim.coupling.replay import Replay, Simulated, StartPose, servo_command
 
 # Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
 NODES = 21
@@ -69,6 +71,9 @@ class EffectReplay(Replay):
         Of the effects' parameters.
     bases
         What input chains do to the path of this trial, as far as other replays have asked; new ones are added.
+    settled
+        Whether the robot had come to rest against the strap before the path begins: its controller then holds where
+        that balances what pulls at the start, and not at the start pose.
     replay
         Arguments of `Replay`.
     """
@@ -80,9 +85,10 @@ class EffectReplay(Replay):
         context: Context,
         scales: Scales,
         bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
+        settled: bool = False,
         **replay,
     ):
-        self.effects = tuple(effects)
+        self.effects, self._settled = tuple(effects), settled
         self._context, self._scales = context, scales
         self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
         self._stopped = any(isinstance(placed.effect.plant, Stop) for placed in self.effects)
@@ -321,7 +327,67 @@ class EffectReplay(Replay):
             self._armature[:m] += self.model.opt.timestep * self._damping[:m]
         if self._stopped:
             self._weigh(m)
+        if self._settled:
+            self._settle(fields, m)
         return super()._roll(m)
+
+    def _settle(self, fields: Fields, m: int) -> None:
+        """Let every spring between floor and interface rest where it balances what pulls at the robot at the start.
+
+        That is strap and planned forces where nothing moves, by whatever law; what relaxes has done so, and friction is
+        taken to hold nothing.
+        """
+        model, batch = self.model, self._batch
+        joints, adr, dofs = self._chain
+        position, velocity = (batch.bind(name)[:m].copy() for name in ("qpos", "qvel"))
+        for placed in self.effects:
+            if isinstance(placed.effect.plant, Maxwell):
+                placed.effect.plant.relax(fields, placed.where, position)
+        springs = fields["qpos_spring"]
+        springs[:, adr] = position[:, adr]
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
+        pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
+        force = pull["qfrc_passive"][:, 0]
+        for columns in self._columns_of.values():
+            driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+            force[:, driven] += self._control[:m, 0, columns]
+        stiffness = fields["jnt_stiffness"][:, joints]
+        for k in range(m):
+            # how the strap's joints go where those of the robot move and the pelvis stays
+            given = self._jacobian(batch.get_model(k), position[k])
+            follow = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
+            pulled = force[k, dofs] + follow.T @ force[k, self._dofs]
+            springs[k, adr] -= np.where(stiffness[k] > 0, pulled / np.maximum(stiffness[k], 1e-9), 0.0)
+        batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, velocity
+        self._began_at = position[0]
+
+    def as_simulated(self) -> Simulated:
+        """As of `Replay`; what relaxes starts where it has done so."""
+        simulated = super().as_simulated()
+        return replace(simulated, position=self._began_at.copy()) if self._settled else simulated
+
+    @cached_property
+    def _chain(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joints between floor and interface: their indices, where they are in qpos, and their degrees of freedom."""
+        model = self.model
+        body, bodies = model.body("interface").id, []
+        while body:
+            bodies.append(body)
+            body = model.body_parentid[body]
+        joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
+        return joints, model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+
+    @staticmethod
+    def _jacobian(model: mujoco.MjModel, position: np.ndarray) -> np.ndarray:
+        """Of the pelvis by all degrees of freedom (6, nv), at joint positions (nq,)."""
+        data = mujoco.MjData(model)
+        data.qpos[:] = position
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        out = np.zeros((6, model.nv))
+        mujoco.mj_jacSite(model, data, out[:3], out[3:], model.site("pelvis").id)
+        return out
 
     def _weigh(self, m: int) -> None:
         """Let a stop know the inertia that comes against it with these dampers."""

@@ -25,26 +25,20 @@ from real2sim import signals
 from real2sim.coupling.chains import Context, Elsewhere
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
-from real2sim.coupling.mechanisms import HoldShift, Scales, Where
+from real2sim.coupling.mechanisms import Scales, Where
 from real2sim.coupling.plant import (
     ROBOT_JOINTS,
     STRAP_JOINTS,
     JointLimits,
-    RestPose,
-    impedances,
-    interface_pose_at,
-    load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
 from real2sim.geometry import (
     AXES,
     INTERFACE_MARKERS,
     PELVIS_MARKERS,
-    interface_coordinates,
     interface_frame,
     mean_rotation,
     pelvis_frame,
-    relative_pose,
     rotation_matrix,
 )
 from real2sim.identification.cost import CostScales, TrialCost
@@ -62,6 +56,8 @@ SMALLEST_NOISE_M = 2e-5
 # A spike stands out of what is faster than the cut-off by so many SD, of a path or of the residual that the best fit
 # leaves; the low-pass of the ingest smears it so far
 SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.08
+# So far from the end of a path its noise is as loud as anywhere
+SPIKE_EDGE_S = 0.05
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
 # Probability from which noise that looks slower than white is taken as such, and the slow noise that is tried: power
@@ -88,18 +84,10 @@ _START = Effect(
     scope="whole",
     sighting=Elsewhere(),
 )
-_HOLD = Effect(
-    "hold",
-    "robot",
-    "the controller holds elsewhere than where the robot starts",
-    tuple(EffectParameter(f"hold_{joint}", "m|rad", -1.0, 1.0, (0.0,)) for joint in ROBOT_JOINTS),
-    "hold",
-    "",
-    scope="whole",
-    plant=HoldShift(),
-)
 # How far the start is moved to learn what that does [m, rad]
 _START_STEP = 1e-3
+# Where the robot's controller holds: at the start pose (contract), or where that balances what pulls at the start
+START_POSE, BALANCE = "start pose", "balance"
 # Band edges [Hz] within which the noise is taken as equal
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 10.0)
 
@@ -133,10 +121,10 @@ class Evidence:
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
     paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
-    what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off, and
-    ``holds`` (6, n, c) what a controller does that holds elsewhere (`_hold_sd`). What input chains and noise make of
-    the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are
-    ``start_joints``.
+    what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
+    ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`. What input
+    chains and noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths,
+    ``commands`` of a time step; so are ``start_joints``.
     """
 
     trial: Trial
@@ -159,7 +147,7 @@ class Evidence:
     start_joints: np.ndarray | None = None
     rests: np.ndarray | None = None
     starts: np.ndarray | None = None
-    holds: np.ndarray | None = None
+    settled: bool = False
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
@@ -195,6 +183,7 @@ class Evidence:
             nsim=nsim,
             drive=self.drives[h],
             bases=self.bases,
+            settled=self.settled,
             start_joints=self.start_joints,
         )
         self.start_joints = replay.start_joints
@@ -276,7 +265,7 @@ class Evidence:
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         n = len(self.trial.time_s)
-        self.rests, self.starts, self.holds = self._elsewhere(parameters)
+        self.rests, self.starts = self._elsewhere(parameters)
         self.noise = error = self._noise(parameters, draws, seed)
         floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
@@ -320,9 +309,7 @@ class Evidence:
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
         assert self.rests is not None
         assert self.starts is not None
-        assert self.holds is not None
-        for poses in (self.rests, self.holds):
-            error = error + np.tensordot(rng.standard_normal((draws, len(poses))), poses, axes=1)
+        error = error + np.tensordot(rng.standard_normal((draws, len(self.rests))), self.rests, axes=1)
         error = error + np.tensordot(self._misjudged(markers), self.starts, axes=1)
         return self._without_gaps(error)
 
@@ -332,20 +319,18 @@ class Evidence:
         bar = np.diff(np.nanmean(self.trial.interface[: self.context.start], axis=0)[::-1], axis=0)[0]
         return np.hstack([(left + right) / 2, np.cross(bar, left - right) / (bar @ bar)])
 
-    def _elsewhere(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What a strap that rests, a robot that starts and a controller that holds elsewhere does to the residuals.
+    def _elsewhere(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What a strap that rests and a robot that starts elsewhere do to the residuals.
 
-        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
-        for what the controller may hold at (`_hold_sd`), by robot joint.
+        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; and per metre and radian of a start pose.
         """
         effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
-        effects += [Placed(e, Where((), 0, "", e.name), self.scales) for e in (_START, _HOLD)]
-        m = 1 + 3 * 6
+        effects.append(Placed(_START, Where((), 0, "", _START.name), self.scales))
+        m = 1 + 2 * 6
         x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]
         for i, placed in enumerate(effects[:6]):
             x[i][1 + i] = self.rest_sd[placed.where.axes[0]] / placed.values(np.ones((1, 1)))
-        x[6][7:13] = _START_STEP * np.eye(6)
-        x[7][13:] = np.diag(self._hold_sd(parameters))
+        x[6][7:] = _START_STEP * np.eye(6)
         replay = self.replay(effects, m, coarse=True)
         paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
         out = paths.reshape(m, -1, 6)
@@ -353,26 +338,7 @@ class Evidence:
             out = np.concatenate([out, self._from_start(joints)], axis=2)
         # a pose that MuJoCo gives up on is none that was
         moved = np.nan_to_num(out[1:] - out[:1])
-        return moved[:6], moved[6:12] / _START_STEP, moved[12:]
-
-    def _hold_sd(self, parameters: np.ndarray) -> np.ndarray:
-        """How far from the start pose (6,) [m, rad] the controller may hold, by robot joint.
-
-        A person who stands a little off the rest pose pulls at the robot, which may have come to rest against its
-        controller before the record began, or may be let go in its first sample: nothing in the record says which.
-        """
-        start = self.context.start
-        rotation, position = self.context.pelvis_rotation[:start], self.context.pelvis_position[:start]
-        return np.abs(
-            held_against(
-                load_robot(self.robot_file).compile(),
-                impedances(self.settings["robot"], "hold"),
-                self.replay([], 1, coarse=True).start_joints,
-                (mean_rotation(rotation), position.mean(axis=0)),
-                self.trial.rest,
-                parameters[:6],
-            )
-        )
+        return moved[:6], moved[6:] / _START_STEP
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
@@ -439,39 +405,20 @@ class Evidence:
         return error
 
 
-def held_against(
-    robot: mujoco.MjModel,
-    held: dict[str, dict[str, float]],
-    joints: np.ndarray,
-    pelvis: tuple[np.ndarray, np.ndarray],
-    rest: RestPose,
-    stiffness: np.ndarray,
-) -> np.ndarray:
-    """How far from its joints (6,) [m, rad] a robot's controller holds that is at rest against the strap.
-
-    ``held`` as from `impedances`; ``pelvis`` is its rotation (3, 3) and position (3,) [m, world], ``stiffness`` (6,)
-    that of the strap.
-    """
-
-    def coordinates(moved: np.ndarray) -> np.ndarray:
-        pose = relative_pose(*pelvis, *interface_pose_at(robot, moved))
-        return interface_coordinates(*pose, rest.rotation, rest.position)
-
-    here = coordinates(joints)
-    slopes = np.array([(coordinates(joints + 1e-5 * one) - here) / 1e-5 for one in np.eye(6)])
-    return np.asarray(slopes @ (stiffness * here)) / [held[name]["stiffness"] for name in ROBOT_JOINTS]
-
-
 def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarray:
     """Where marker paths, or residuals of them, (n, 2, 3) jump, (n, 2): fast content beyond ``sd`` times the usual.
 
-    With it comes what the filter smears around it.
+    With it comes what the filter smears around it. Where a path begins or ends, also at a gap, a filter has one side
+    only and leaves most of the noise: nothing is looked for there.
     """
     n = len(paths)
     flat = bridged(paths.reshape(n, 6))
     fast = flat - signals.lowpass(flat, rate_hz, SPIKE_CUTOFF_HZ, 4)
     usual = np.median(np.abs(fast), axis=0) / 0.6745
     hit = (np.abs(fast) > sd * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
+    lost = np.pad(~np.isfinite(paths).all(axis=2), ((1, 1), (0, 0)), constant_values=True)
+    edge = np.ones(2 * round(SPIKE_EDGE_S * rate_hz) + 1)
+    hit &= ~np.stack([np.convolve(lost[:, m], edge, "same")[1:-1] > 0 for m in range(2)], axis=1)
     width = round(SPIKE_SMEAR_S * rate_hz)
     return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
 

@@ -13,7 +13,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS, Effect, Placed
 from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 from real2sim.coupling.mechanisms import PlannedForce, Scales, Where
-from real2sim.diagnosis.evidence import load_evidence, marker_noise
+from real2sim.diagnosis.evidence import BALANCE, load_evidence, marker_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.errors import InputError
 from real2sim.files import write_text
@@ -109,7 +109,17 @@ def export_model(
         [m, world].
     """
     answer = read_json(
-        diagnosis, ("subject", "verdict", "verdict_set", "parameters", "model", "settings", "phantom")
+        diagnosis,
+        (
+            "subject",
+            "verdict",
+            "verdict_set",
+            "parameters",
+            "model",
+            "robot_holds",
+            "settings",
+            "phantom",
+        ),
     )
     settings = answer["settings"]
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
@@ -118,6 +128,7 @@ def export_model(
     )
     effects, x = effects_of(answer["model"], diagnosis)
     evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
+    evidence.settled = answer["robot_holds"] == BALANCE
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])

@@ -57,6 +57,7 @@ _KEYS = (
     "subject",
     "phantom",
     "refused_gates",
+    "robot_holds",
     "train",
     "held_out",
     "noise_floor",
@@ -205,7 +206,8 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 
 
 def _lead(d: Mapping[str, Any]) -> list[str]:
-    parts = [paragraph(_verdict(d), "lead"), paragraph(_spectral(d)), paragraph(_exchanged(d))]
+    parts = [paragraph(_verdict(d), "lead")]
+    parts += [paragraph(text) for text in (_spectral(d), _exchanged(d), _hold(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
     for trial, gates in d["refused_gates"].items():
         what = (
@@ -238,6 +240,17 @@ def _exchanged(d: Mapping[str, Any]) -> str:
     return (
         f"Only {fitted} leaves more than noise: effects were fitted on it and had to leave {other} as it is. How far a "
         "gap shrinks is told of the trial that was fitted; one more of its kind would check it."
+    )
+
+
+def _hold(d: Mapping[str, Any]) -> str:
+    """Where the robot's controller holds, where that is not the start pose."""
+    if d["robot_holds"] == "start pose":
+        return ""
+    return (
+        "The robot had come to rest against the strap before the trials began: its controller is taken to hold where "
+        "that balances what pulls at the start, not at the start pose. A constant force (preload, tilt) does not show "
+        "in such trials."
     )
 
 

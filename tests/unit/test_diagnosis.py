@@ -13,10 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling import chains
+from real2sim.coupling.answers import Admittance, Answer, Reaction
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import PlannedForce, Scales, Where, bouc_wen
-from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
+from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis import evidence, stage
@@ -475,35 +476,45 @@ def test_a_rest_pose_turned_by_little_is_a_spring_that_rests_elsewhere(plain):
     assert np.abs(turned - shifted).max() < 0.05 * np.abs(shifted - plain[0]).max()
 
 
-def test_a_reaction_is_planned_from_the_motion_that_it_makes():
-    effect = next(e for e in EFFECTS if e.name == "controller_reaction")
-    model = replay([Placed(effect, effect.places()[0], SCALES)], seconds=6)
-    values = np.array([[-0.5, 0.1, 0.02]])
-    model.run_effects(PRIOR[None], [values])
-    simulated = replace(model._context, strap_force=model._strap_force(1))
-    applied = model.as_simulated().control[:, model._columns_of[0]]
-    asked = chains.reaction(values, simulated, None, PRIOR[None])[0]
-    first = chains.reaction(values, model._context, None, PRIOR[None])[0]
-    # the measured coordinates of this trial are those of an interface that stands still
-    assert np.linalg.norm(first - asked) > 0.5 * np.linalg.norm(asked)
-    assert np.linalg.norm(applied - asked) < 0.05 * np.linalg.norm(asked)
-
-
 def test_an_admittance_is_a_reaction_and_what_it_has_kept_of_the_force():
-    context = replay([], seconds=3)._context
-    force = np.zeros((2, len(context.time_s), 3))
-    force[:, context.start :, 0] = 10.0
-    context = replace(context, strap_force=force)
+    steps, h, before = 400, 0.01, np.zeros((2, 2))
     values = np.array([[0.4, 0.4, 0.0, 0.0, 2.0, 0.05], [0.0, 0.0, 0.5, 0.2, 2.0, 0.0]])
-    both = chains.admittance(values, context, None, np.tile(PRIOR, (2, 1)))
-    plain = chains.reaction(
-        np.array([[0.4, 0.0, 0.05]]), replace(context, strap_force=force[:1]), None, PRIOR[None]
-    )
-    np.testing.assert_allclose(both[0], plain[0], atol=1e-9)
-    pull = np.einsum("nij,nj->ni", context.pelvis_rotation, force[0])[:, 0]
-    since = context.time_s[-1] - context.time_s[context.start]
-    # a force of 10 N, nearly along x, that leaks over 2 s
-    assert both[1, -1, 0] == pytest.approx(0.5 * pull.max() * 2.0 * (1 - np.exp(-since / 2.0)), rel=0.05)
+    pull = np.zeros((2, steps, 2))
+    pull[:, 100:, 0] = 10.0
+    both = Admittance(values, before, h).force(pull, keep=False)
+    plain = Reaction(np.array([[0.4, 0.0, 0.05]]), before[:1], h).force(pull[:1], keep=False)
+    np.testing.assert_allclose(both[0], plain[0], atol=1e-12)
+    # a force of 10 N along x, that leaks over 2 s
+    assert both[1, -1, 0] == pytest.approx(0.5 * 10 * 2.0 * (1 - np.exp(-3.0 / 2.0)), rel=1e-6)
+
+
+def test_an_answer_hears_the_strap_late_and_the_mean_of_standing_until_then():
+    rng = np.random.default_rng(0)
+    steps, h, before = 60, 0.01, np.array([[3.0, -2.0]])
+    pull = np.cumsum(rng.standard_normal((1, steps, 2)), axis=1)
+    values = np.array([[-0.5, 0.105, 0.04]])
+    answer, got = Answer(Reaction(values, before, h), before, h, steps), []
+    for first in range(0, steps, 7):
+        count = min(7, steps - first)
+        got.append(answer.plan(count))
+        answer.learn(pull[:, first : first + count])
+    time, decay = h * np.arange(steps), np.exp(-h / 0.04)
+    for axis in range(2):
+        late = np.interp(time - 0.105, time, pull[0, :, axis], left=before[0, axis])
+        expected = lfilter([1 - decay], [1, -decay], late, zi=[decay * before[0, axis]])[0]
+        np.testing.assert_allclose(np.concatenate(got, axis=1)[0, :, axis], -0.5 * expected, atol=1e-9)
+
+
+def test_an_answer_without_a_delay_takes_the_strap_to_go_straight_on():
+    steps, h = 40, 0.01
+    line = np.zeros((1, steps, 2)) + np.arange(steps)[:, None]
+    answer = Answer(Reaction(np.array([[1.0, 0.0, 0.0]]), line[:, 0], h), line[:, 0], h, steps)
+    for first in range(0, steps, 5):
+        planned = answer.plan(5)
+        # of the first window nothing is known but what was before
+        expected = line[:, first : first + 5] if first else 0 * planned
+        np.testing.assert_allclose(planned, expected, atol=1e-9)
+        answer.learn(line[:, first : first + 5])
 
 
 def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
@@ -516,42 +527,79 @@ def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
         Placed(by_name["migration"], by_name["migration"].places()[0], SCALES),
     ]
     model = replay(placed, seconds=4)
-    wide, shift = 0.02, 0.01
-    x = [[-0.3, 0.1, 0.02], [np.log(wide / SCALES.q[0])], [shift / SCALES.q[0]], [np.log(0.02), np.log(0.5)]]
+    wide, shift, gain, delay, smoothing = 0.02, 0.01, -0.3, 0.1, 0.02
+    x = [
+        [gain, delay, smoothing],
+        [np.log(wide / SCALES.q[0])],
+        [shift / SCALES.q[0]],
+        [np.log(0.02), np.log(0.5)],
+    ]
     model.run_effects(PRIOR[None], [np.array([row]) for row in x])
-    got = model._strap_force(1)[0, :, 0]
-    planned = model._control[0, :: model.stride, model._columns_of[3][0]]
+    planned = model._control[0, :, model._columns_of[3][0]]
     # the same from the coordinates of the simulation: markers, pelvis and rest pose
     data, q, qd = mujoco.MjData(model.model), [], []
     state = model.as_simulated()
     data.qpos[:], data.qvel[:] = state.position, state.velocity
-    joint = model.model.joint("strap_tx")
-    for k, command in enumerate(state.control):
+    joints = [model.model.joint(f"strap_{axis}") for axis in ("tx", "ty", "tz")]
+    for command in state.control:
         data.ctrl[:] = command
-        if k % model.stride == 0:
-            q.append(float(data.qpos[joint.qposadr[0]]))
-            qd.append(float(data.qvel[joint.dofadr[0]]))
+        q.append([float(data.qpos[j.qposadr[0]]) for j in joints])
+        qd.append([float(data.qvel[j.dofadr[0]]) for j in joints])
         mujoco.mj_step(state.model, data)
-    beyond = np.array(q) - shift
-    pulled = np.sign(beyond) * np.maximum(np.abs(beyond) - wide, 0)
-    expected = -PRIOR[0] * pulled - PRIOR[6] * np.array(qd) + planned
-    assert np.abs(pulled).max() > 0.005
-    np.testing.assert_allclose(got, expected, atol=0.02 * np.abs(expected).max())
+    pulled = np.array(q)
+    beyond = pulled[:, 0] - shift
+    pulled[:, 0] = np.sign(beyond) * np.maximum(np.abs(beyond) - wide, 0)
+    assert np.abs(pulled[:, 0]).max() > 0.005
+    force = -PRIOR[:3] * pulled - PRIOR[6:9] * np.array(qd)
+    force[:, 0] += planned
+    world = np.einsum("nij,nj->ni", model._context.pelvis_rotation, force)
+    time, decay = model._context.time_s, np.exp(-0.01 / smoothing)
+    for axis, column in enumerate(model._columns_of[0]):
+        # from the first sample alone, a jolt of the simulation, it would go on with that
+        before = world[: model._context.start, axis].mean()
+        late = np.interp(time - delay, time, world[:, axis], left=before)
+        expected = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * before])[0]
+        np.testing.assert_allclose(state.control[:, column], expected, atol=0.02 * np.abs(expected).max())
 
 
-def test_a_reaction_does_not_go_on_with_the_jolt_of_the_first_sample():
-    context = replay([], seconds=3)._context
-    still = np.zeros((1, *context.coordinates.shape))
-    still[:, 1:, 0] = 1e-3
-    calm = replace(context, coordinates=still, rates=np.zeros_like(still))
-    jolted = replace(calm, rates=np.zeros_like(still))
-    jolted.rates[:, 0] = 0.1
-    values = np.array([[1.0, 0.2, 0.3]])
-    a, b = (chains.reaction(values, c, None, PRIOR[None])[0] for c in (calm, jolted))
-    # it counts as one of the samples that the start is the mean of, and for its own instant
-    jolt = 0.1 * PRIOR[6]
-    assert np.abs(a - b)[:10].max() < 1.1 * jolt / context.start
-    assert np.abs(a - b).max() < 0.2 * jolt
+def test_a_reaction_begins_with_what_the_strap_does_while_the_person_stands():
+    """From nothing, or from the first sample, a jolt of the simulation, it would start the trial with a push."""
+    by_name = {e.name: e for e in EFFECTS if not e.form}
+    placed = [Placed(by_name[n], by_name[n].places()[0], SCALES) for n in ("controller_reaction", "preload")]
+    model = replay(placed, seconds=1)
+    gain, delay, shift = 0.5, 0.2, 0.03
+    model.run_effects(PRIOR[None], [np.array([[gain, delay, 0.1]]), np.array([[shift / SCALES.q[0]]])])
+    applied = model.as_simulated().control[:, model._columns_of[0][0]]
+    # the strap is stretched by the shift, and the robot has moved by little so soon
+    assert applied[0] == pytest.approx(gain * PRIOR[0] * shift, rel=0.3)
+    np.testing.assert_allclose(applied[:20], applied[0], rtol=1e-9)
+
+
+def test_a_reaction_hears_the_bristles_of_a_friction():
+    """They are an actuator of MuJoCo's, and no passive force; without them a true pair left 9760 instead of 3489."""
+    by_name = {e.name: e for e in EFFECTS if not e.form}
+    placed = [Placed(by_name[n], by_name[n].places()[0], SCALES) for n in ("controller_reaction", "lugre")]
+    model = replay(placed, seconds=3)
+    gain, force = 0.4, 8.0
+    law = [force / SCALES.force[0], 0.5, 0.002 / SCALES.q[0], 0.01 / SCALES.v[0]]
+    model.run_effects(PRIOR[None], [np.array([[gain, 0.0, 0.0]]), np.log(np.array([law]))])
+    state, data = model.as_simulated(), mujoco.MjData(model.model)
+    felt, bristles = [], []
+    data.qpos[:], data.qvel[:] = state.position, state.velocity
+    rotation, joints = model._context.pelvis_rotation, [model.model.joint(n) for n in STRAP_JOINTS[:3]]
+    for command, turned in zip(state.control, rotation, strict=True):
+        data.ctrl[:] = command
+        q, qd = (
+            np.array([float(getattr(data.joint(j.name), x)[0]) for j in joints]) for x in ("qpos", "qvel")
+        )
+        mujoco.mj_step(state.model, data)
+        bristles.append(float(data.actuator(f"bristles_{placed[1].where.element}").force[0]))
+        felt.append(turned @ (np.array([bristles[-1], 0, 0]) - PRIOR[:3] * q - PRIOR[6:9] * qd))
+    applied = state.control[:, model._columns_of[0]]
+    expected = gain * np.array(felt)[:, :2]
+    assert np.abs(bristles).max() > 0.5 * force
+    # a window late at most, and taken to go straight on
+    np.testing.assert_allclose(applied[40:], expected[40:], atol=0.1 * np.abs(expected).max())
 
 
 def test_a_quadratic_spring_goes_straight_on_along_its_tangent():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.export import baked, to_mjcf
-from real2sim.coupling.mechanisms import PlannedForce
+from real2sim.coupling.mechanisms import DrivenForce
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis
@@ -159,7 +159,7 @@ def test_a_text_that_gives_another_model_is_an_error():
 def test_what_is_no_model_says_what_to_do_instead():
     for effect in EFFECTS:
         assert (kind(effect) == NATIVE) == (not effect.remedy)
-        assert (kind(effect) == PLANNED) == isinstance(effect.plant, PlannedForce)
+        assert (kind(effect) == PLANNED) == isinstance(effect.plant, DrivenForce)
         chains = (effect.input_chain, effect.output_chain, effect.sighting and effect.sighting.of_markers)
         assert (kind(effect) == CHAIN) == any(chains)
 

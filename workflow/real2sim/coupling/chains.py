@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, lfilter, sosfilt
+from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from real2sim.geometry import interface_frame
@@ -26,7 +26,6 @@ class Context:
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
     ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken.
-    ``strap_force`` (m, n, 3) [N, pelvis axes] on the interface in an earlier simulation, where there was one.
     """
 
     time_s: np.ndarray
@@ -42,7 +41,6 @@ class Context:
     rates: np.ndarray
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
-    strap_force: np.ndarray | None = None
 
 
 # ---------------------------------------------------------------- how the interface was seen
@@ -292,42 +290,6 @@ def tilt(values, context, where, parameters):
     """Forces (m, steps, 2) [N] on the base of slopes (m, 2) [rad]."""
     force = 9.81 * context.robot_mass * values
     return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)
-
-
-def reaction(values, context, where, parameters):
-    """Forces (m, steps, 2) [N] on the base of gain, delay and smoothing (m, 3)."""
-    # what the strap does to the interface, seen by a controller in the plane, answered late and with its bandwidth
-    stiffness, damping = parameters[:, None, :3], parameters[:, None, 6:9]
-    force = context.strap_force
-    if force is None:
-        force = -(stiffness * context.coordinates[..., :3] + damping * context.rates[..., :3])
-    world = np.einsum("nij,mnj->mni", context.pelvis_rotation, force)
-    # before the trial the person stood as in its first moments; the very first sample is a jolt of the simulation
-    before = world[:, : context.start].mean(axis=1)
-    out = np.empty((len(values), len(context.step_time_s), 2))
-    dt = context.step_time_s[1] - context.step_time_s[0]
-    for i, (gain, delay, smoothing) in enumerate(values):
-        decay = np.exp(-dt / max(smoothing, 1e-9))
-        for c in range(2):
-            first = before[i, c]
-            late = np.interp(context.step_time_s - delay, context.time_s, world[i, :, c], left=first)
-            out[i, :, c] = gain * lfilter([1 - decay], [1, -decay], late, zi=[decay * first])[0]
-    return out
-
-
-def admittance(values, context, where, parameters):
-    """Forces (m, steps, 2) [N] on the base of gains, integral gains [1/s] (x, y), leak and smoothing [s] (m, 6)."""
-    gains, rates, leak, smoothing = values[:, None, :2], values[:, None, 2:4], values[:, 4], values[:, 5]
-    felt = reaction(
-        np.column_stack([np.ones(len(values)), np.zeros(len(values)), smoothing]), context, where, parameters
-    )
-    dt = context.step_time_s[1] - context.step_time_s[0]
-    # what was pulled before the trial has leaked away or is part of where the controller holds
-    pulled = felt - felt[:, :1]
-    kept = [
-        lfilter([dt], [1, -np.exp(-dt / time)], row, axis=0) for row, time in zip(pulled, leak, strict=True)
-    ]
-    return gains * felt + rates * np.array(kept)
 
 
 def ratchet(values, context, where, parameters):

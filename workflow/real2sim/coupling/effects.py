@@ -17,8 +17,10 @@ from itertools import combinations
 import numpy as np
 
 from real2sim.coupling import chains
+from real2sim.coupling.answers import Admittance, Reaction
 from real2sim.coupling.chains import Context, OffCentre, RestTurned, Sighting, TurnedLab
 from real2sim.coupling.mechanisms import (
+    AnsweringForce,
     BoucWen,
     Bristles,
     Coupling,
@@ -50,10 +52,6 @@ from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.geometry import AXES
 
 TRANSLATIONAL = AXES[:3]
-
-# With the true values of a reaction of 0.9 of the force after 0.12 s the first round leaves a chi-squared of 421 500,
-# the next three 57 700, 14 500 and 8 900, a fifth and sixth 8 000 and 7 800
-REACTION_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -638,7 +636,7 @@ EFFECTS: tuple[Effect, ...] = (
         "controller_reaction",
         "the same motion with the controller off",
         scope="whole",
-        plant=PlannedForce(chains.reaction, ROBOT_JOINTS[:2], rounds=REACTION_ROUNDS),
+        plant=AnsweringForce(Reaction, ROBOT_JOINTS[:2]),
         remedy=(
             "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed and passed"
             " through a low-pass of first order with the smoothing as time constant"
@@ -657,7 +655,7 @@ EFFECTS: tuple[Effect, ...] = (
         "controller_reaction",
         "the same motion with the controller off",
         scope="whole",
-        plant=PlannedForce(chains.admittance, ROBOT_JOINTS[:2], rounds=REACTION_ROUNDS),
+        plant=AnsweringForce(Admittance, ROBOT_JOINTS[:2]),
         form="integral",
         remedy=(
             "Add to base_x and base_y the strap's horizontal force on the interface, passed through a low-pass of first"

@@ -2,7 +2,7 @@
 
 Each mechanism adds its elements to the description of the plant and writes its values into the fields of a batch:
 springs with a dead band, polynomials, elasto-plastic springs, dry friction, LuGre, a hidden joint, turned axes, other
-masses and impedances. No Python runs while it steps.
+masses and impedances. No Python runs while it steps, but where a controller answers the strap: between short windows.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from real2sim.coupling.answers import Law
 from real2sim.coupling.plant import STRAP_JOINTS
 from real2sim.geometry import AXES
 
@@ -676,18 +677,14 @@ class Rocking:
             fields["dof_armature"][:, joint.dofadr[0]] = values[:, 3]
 
 
-class PlannedForce:
-    """Forces on some joints, planned before the simulation from what was measured, and fed in as controls.
+class DrivenForce:
+    """Forces on some joints, fed in as controls.
 
-    ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm]; ``joints`` are
-    names, or None for the strap joint of the effect's axis. ``rounds`` above 1 simulate and plan again: the context
-    then has the strap's force in the simulation before.
+    ``joints`` are names, or None for the strap joint of the effect's axis.
     """
 
-    def __init__(
-        self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None, rounds: int = 1
-    ):
-        self.force, self._joints, self.rounds = force, joints, rounds
+    def __init__(self, joints: tuple[str, ...] | None = None):
+        self._joints = joints
 
     def columns(self, model: mujoco.MjModel, where: Where) -> np.ndarray:
         """Columns of the control that belong to the motors."""
@@ -707,6 +704,25 @@ class PlannedForce:
 
     def set(self, fields, where, parameters, values):
         """Nothing: forces are controls."""
+
+
+class PlannedForce(DrivenForce):
+    """Forces that are planned before the simulation from what was measured.
+
+    ``force`` maps values (m, p), context, place and strap parameters (m, 12) to (m, steps, j) [N, Nm].
+    """
+
+    def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
+        super().__init__(joints)
+        self.force = force
+
+
+class AnsweringForce(DrivenForce):
+    """Forces on two joints along world x and y that answer, by a law, what the strap does to the interface."""
+
+    def __init__(self, law: type[Law], joints: tuple[str, ...]):
+        super().__init__(joints)
+        self.law = law
 
 
 class BoucWen(PlannedForce):

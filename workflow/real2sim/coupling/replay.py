@@ -82,9 +82,6 @@ class Replay:
         Robot joints (6,) at the start.
     """
 
-    # What is recorded of every step
-    _fields: tuple[str, ...] = ("sensordata",)
-
     def __init__(
         self,
         *,
@@ -145,10 +142,7 @@ class Replay:
         adr = self.model.sensor("position_interface_left").adr[0]
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
-        sizes = {"sensordata": self.model.nsensordata}
-        self._record = {
-            name: np.empty((nsim, self.nstep, sizes.get(name, self.model.nv))) for name in self._fields
-        }
+        self._sensors = np.empty((nsim, self.nstep, self.model.nsensordata))
 
     @cached_property
     def _twin(self) -> mujoco.MjModel:
@@ -237,7 +231,7 @@ class Replay:
 
     def sites(self) -> np.ndarray:
         """Interface sites (nstep, 2, 3) [m, world] of the last call's first simulation, before any output chain."""
-        return self._record["sensordata"][0, :, self._columns].reshape(self.nstep, 2, 3).copy()
+        return self._sensors[0, :, self._columns].reshape(self.nstep, 2, 3).copy()
 
     def _samples(self, sensors: np.ndarray) -> np.ndarray:
         sites = sensors[:, :: self.stride, self._columns]
@@ -263,16 +257,19 @@ class Replay:
         """Step the first m simulations to the end of the path; sensors (m, nstep, nsensordata)."""
         batch, ids = self._batch, np.arange(m)
         whole = m == batch.nsim
-        record = self._record if whole else {name: rows[:m] for name, rows in self._record.items()}
-        sensors = batch.rollout(
+        batch.rollout(
             self.nstep,
             self._control[:m],
-            record=self._fields,
+            record=("sensordata",),
             ids=None if whole else ids,
-            out=record,
-        )["sensordata"]
-        failed = batch.warning[:m].any(axis=tuple(range(1, batch.warning.ndim)))
-        sensors[failed] = np.nan
+            out={"sensordata": self._sensors[:m]},
+        )
+        return self._without_failed(m)
+
+    def _without_failed(self, m: int) -> np.ndarray:
+        """Sensors (m, nstep, nsensordata) of the last call, NaN where MuJoCo gave up."""
+        warning, sensors = self._batch.warning[:m], self._sensors[:m]
+        sensors[warning.any(axis=tuple(range(1, warning.ndim)))] = np.nan
         return sensors
 
 

@@ -10,10 +10,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from real2sim.coupling.answers import Answer
 from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
 from real2sim.coupling.mechanisms import (
+    AnsweringForce,
+    DrivenForce,
     DryFriction,
     Fields,
     Maxwell,
@@ -26,6 +29,11 @@ from real2sim.coupling.mechanisms import (
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, Simulated, StartPose, servo_command
 
+# Length of the windows after which a controller that answers the strap is asked again: against windows of one step, an
+# answer without delay of half the force errs by 0.012 mm of 2.4, a smoothed one by 0.003 (0.08 and 0.03 at 0.05 s)
+WINDOW_S = 0.02
+# What is recorded meanwhile
+_HEARD = ("sensordata", "qfrc_passive", "qfrc_constraint", "actuator_force")
 # Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
 NODES = 21
 
@@ -96,10 +104,9 @@ class EffectReplay(Replay):
         rests = [isinstance(placed.effect.plant, RestShift) for placed in self.effects]
         self._shifted = any(rests)
         self._order = sorted(range(len(rests)), key=lambda i: rests[i])
-        forces = [placed.effect.plant for placed in self.effects]
-        self._rounds = max((f.rounds for f in forces if isinstance(f, PlannedForce)), default=1)
-        if self._rounds > 1:
-            self._fields = ("sensordata", "qfrc_passive", "qfrc_constraint")
+        self._answering = [
+            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, AnsweringForce)
+        ]
         super().__init__(**replay)
         first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
         self._robot_columns = slice(first, first + 6)
@@ -112,7 +119,6 @@ class EffectReplay(Replay):
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
-        self._pull: np.ndarray | None = None
         self._parameters = np.empty((0, 12))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
@@ -128,7 +134,7 @@ class EffectReplay(Replay):
         self._columns_of = {
             i: placed.effect.plant.columns(self.model, placed.where)
             for i, placed in enumerate(self.effects)
-            if isinstance(placed.effect.plant, PlannedForce)
+            if isinstance(placed.effect.plant, DrivenForce)
         }
 
     def _extend(self, spec: mujoco.MjSpec) -> None:
@@ -255,11 +261,7 @@ class EffectReplay(Replay):
         self._values, self._parameters = values, parameters
         if self._sightings:
             self._see(m)
-        self._pull = None
         sensors = self._simulate(parameters)
-        for _ in range(self._rounds - 1):
-            self._pull = self._strap_force(m)
-            sensors = self._simulate(parameters)
         paths = self._samples(sensors)
         start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
         joints = sensors[:, :: self.stride, self._robot_columns] - start
@@ -272,17 +274,6 @@ class EffectReplay(Replay):
                 paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
         assert len(paths) == m
         return paths, joints
-
-    def _strap_force(self, m: int) -> np.ndarray:
-        """Force (m, n, 3) [N, pelvis axes] of the strap on the interface in the last call, by whatever law it pulls."""
-        dofs = self._dofs[:3]
-        of_springs, of_stops = (self._record[name][:m, :: self.stride, dofs] for name in self._fields[1:])
-        force = of_springs + of_stops
-        for i, columns in self._columns_of.items():
-            axes = self.effects[i].where.axes
-            if axes and axes[0] < 3:
-                force[..., axes[0]] += self._control[:m, :: self.stride, columns[0]]
-        return force
 
     def _seen(
         self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray
@@ -327,9 +318,88 @@ class EffectReplay(Replay):
             self._armature[:m] += self.model.opt.timestep * self._damping[:m]
         if self._stopped:
             self._weigh(m)
+        if self._answering:
+            return self._roll_answering(fields, m)
         if self._settled:
             self._settle(fields, m)
         return super()._roll(m)
+
+    def _roll_answering(self, fields: Fields, m: int) -> np.ndarray:
+        """As of `Replay`, window by window.
+
+        Before the trial the person stood as in its first moments: they are simulated beforehand, since what the strap
+        does in them depends on its law. The very first sample is a jolt of the simulation.
+        """
+        start = self._context.start * self.stride
+        before = self._pull_while_standing(m)
+        for last in (start, self.nstep):
+            answers = self._begin(before)
+            if self._settled:
+                self._settle(fields, m)
+            state = [self._batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+            pull = self._roll_windows(answers, last, m)
+            before = pull[:, :start].mean(axis=1)
+            if last < self.nstep:
+                self._batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
+                self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+        return self._without_failed(m)
+
+    def _pull_while_standing(self, m: int) -> np.ndarray:
+        """Force (m, 2) [N, world] on the interface that springs and dampers make of the measured coordinates."""
+        context, start = self._context, self._context.start
+        force = self._parameters[:m, None, :3] * context.coordinates[:start, :3]
+        force = -(force + self._parameters[:m, None, 6:9] * context.rates[:start, :3])
+        return np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start
+
+    def _begin(self, before: np.ndarray) -> dict[int, Answer]:
+        """Controllers that have heard ``before`` (m, 2) [N] up to the start, by number of their effect."""
+        m, h = len(before), self.model.opt.timestep
+        answers = {}
+        for i in self._answering:
+            plant = self.effects[i].effect.plant
+            assert isinstance(plant, AnsweringForce)
+            answers[i] = Answer(plant.law(self._values[i][:m], before, h), before, h, self.nstep)
+            self._control[:m, :1, self._columns_of[i]] = answers[i].plan(1)
+        return answers
+
+    def _roll_windows(self, answers: dict[int, Answer], last: int, m: int) -> np.ndarray:
+        """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
+        batch, ids, count = self._batch, np.arange(m), max(round(WINDOW_S / self.model.opt.timestep), 1)
+        pull = np.empty((m, last, 2))
+        for first in range(0, last, count):
+            window = slice(first, min(first + count, last))
+            for i, answer in answers.items():
+                self._control[:m, window, self._columns_of[i]] = answer.plan(window.stop - first)
+            control = self._control[:m, window]
+            done = batch.rollout(window.stop - first, control, record=_HEARD, ids=ids)
+            self._sensors[:m, window] = done["sensordata"]
+            pull[:, window] = self._strap_force(done, window)
+            for answer in answers.values():
+                answer.learn(pull[:, window])
+        return pull
+
+    def _strap_force(self, done: dict[str, np.ndarray], window: slice) -> np.ndarray:
+        """Force (m, w, 2) [N, world] of the strap on the interface in some steps, by whatever law it pulls."""
+        dofs = self._dofs[:3]
+        force = done["qfrc_passive"][..., dofs] + done["qfrc_constraint"][..., dofs]
+        for axis, actuators in enumerate(self._on_strap):
+            force[..., axis] += done["actuator_force"][..., actuators].sum(axis=-1)
+        return np.einsum("nij,mnj->mni", self._pelvis_at_steps[window], force)
+
+    @cached_property
+    def _on_strap(self) -> list[np.ndarray]:
+        """Actuators of the translational joints of the strap: planned forces, and bristles of a friction."""
+        model = self.model
+        of_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        return [np.flatnonzero(of_joint & (model.actuator_trnid[:, 0] == j)) for j in self._joints[:3]]
+
+    @cached_property
+    def _pelvis_at_steps(self) -> np.ndarray:
+        """Horizontal rows of the pelvis' rotation at every step, (nstep, 2, 3)."""
+        context = self._context
+        rows = context.pelvis_rotation[:, :2].reshape(-1, 6)
+        steps = [np.interp(context.step_time_s, context.time_s, row) for row in rows.T]
+        return np.stack(steps, axis=1).reshape(-1, 2, 3)
 
     def _settle(self, fields: Fields, m: int) -> None:
         """Let every spring between floor and interface rest where it balances what pulls at the robot at the start.
@@ -405,12 +475,8 @@ class EffectReplay(Replay):
         if i in self._basis:
             basis = self._basis[i]
             self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
-        else:
-            assert isinstance(placed.effect.plant, PlannedForce)
-            context = self._context
-            if placed.effect.plant.rounds > 1:
-                context = replace(context, strap_force=self._pull)
-            force = placed.effect.plant.force(values, context, placed.where, self._parameters[:m])
+        elif isinstance(placed.effect.plant, PlannedForce):
+            force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
             self._control[:m, :, self._columns_of[i]] += force
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS, Effect, Placed
 from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
-from real2sim.coupling.mechanisms import PlannedForce, Scales, Where
+from real2sim.coupling.mechanisms import DrivenForce, Scales, Where
 from real2sim.diagnosis.evidence import BALANCE, load_evidence, marker_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.errors import InputError
@@ -76,7 +76,7 @@ def kind(effect: Effect) -> str:
     """Whether an effect is part of a model, a force that is planned for it, or about what goes in and comes out."""
     if effect.input_chain or effect.output_chain or (effect.sighting and effect.sighting.of_markers):
         return CHAIN
-    return PLANNED if isinstance(effect.plant, PlannedForce) else NATIVE
+    return PLANNED if isinstance(effect.plant, DrivenForce) else NATIVE
 
 
 def export_model(

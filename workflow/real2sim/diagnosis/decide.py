@@ -96,6 +96,28 @@ def _left(candidate: Candidate, c: Mapping[str, float]) -> float:
     return c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
 
 
+def _laws(candidate: Candidate) -> int:
+    return sum(name not in ISOLATED for name in candidate.names)
+
+
+def _cost(candidate: Candidate, further: float, c: Mapping[str, float]) -> float:
+    """What a set leaves of chi-squared, and the prices of its parameters and of all its laws but the first.
+
+    ``further`` as of `further_price`.
+    """
+    price = c["per_parameter"] * candidate.parameters
+    price += c["isolated"] * (len(candidate.names) - _laws(candidate))
+    return _left(candidate, c) + price + further * max(_laws(candidate) - 1, 0)
+
+
+def least_cost(
+    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
+) -> float:
+    """What the best answer leaves of chi-squared, and the prices of all its laws: the less, the better."""
+    further = further_price(plain.chi2, samples, c)
+    return min(_cost(x, further, c) + (c["none_gain"] if _laws(x) else 0.0) for x in (plain, *candidates))
+
+
 def logits(
     plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
 ) -> np.ndarray:
@@ -105,14 +127,8 @@ def logits(
 
     further = further_price(plain.chi2, samples, c)
 
-    def laws(candidate: Candidate) -> int:
-        return sum(name not in ISOLATED for name in candidate.names)
-
     def score(candidate: Candidate) -> float:
-        price = c["per_parameter"] * candidate.parameters
-        price += c["isolated"] * (len(candidate.names) - laws(candidate))
-        price += further * max(laws(candidate) - 1, 0)
-        return -(_left(candidate, c) + price) / temperature
+        return -_cost(candidate, further, c) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
     # an effect has no better chance for having many forms and places: its best one counts, the others share with it
@@ -122,11 +138,11 @@ def logits(
     none = (temperature * (score(plain) - best) + c["none_gain"]) / max(c["none_temperature"], temperature)
     none += c["none"]
     rows = [
-        row if laws(x) else none + score(x) - score(plain) for row, x in zip(rows, candidates, strict=True)
+        row if _laws(x) else none + score(x) - score(plain) for row, x in zip(rows, candidates, strict=True)
     ]
     scatter = _scatter(plain, candidates, np.array(rows), c)
     # odds against all laws together: that many of them compete is no reason to believe in one of them
-    of_laws = [row for row, x in zip(rows, candidates, strict=True) if laws(x)]
+    of_laws = [row for row, x in zip(rows, candidates, strict=True) if _laws(x)]
     unknown = c["unknown"] + float(np.logaddexp.reduce(of_laws) if of_laws else 0.0)
     unknown += c["unknown_unexplained"] * np.log(max(unexplained(plain, candidates, samples), 1e-4))
     unknown += c["unknown_scatter"] * np.log(max(scatter, LEAST_SCATTER))

@@ -251,6 +251,13 @@ class Evidence:
             out[:, band == b] = coefficients[:, band == b] @ matrix.T
         return out.reshape(len(error), -1)
 
+    def standing(self, error: np.ndarray) -> np.ndarray:
+        """Mean square (m,) of residuals (m, n, c) while the person stands, in units of what noise leaves there."""
+        assert self.noise is not None
+        first = slice(None, self.context.start)
+        usual = np.mean(self.noise[:, first] ** 2, axis=(0, 1)) + self._floor**2
+        return np.asarray(np.mean(error[:, first] ** 2 / usual, axis=(1, 2)))
+
     def mark_spikes(self, paths: np.ndarray) -> bool:
         """Mark where markers jump out of what simulated paths (n, 2, 3) leave of them; whether that is anything new.
 
@@ -267,15 +274,19 @@ class Evidence:
         n = len(self.trial.time_s)
         self.rests, self.starts = self._elsewhere(parameters)
         self.noise = error = self._noise(parameters, draws, seed)
-        floor = np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
         coefficients = self.spectrum(error)
         band = self.band_of(n)
         whiteners = []
         for b in range(len(BANDS_HZ) - 1):
             rows = coefficients[:, band == b].reshape(-1, self.channels)
-            covariance = rows.T @ rows / max(len(rows), 1) + np.diag(floor**2)
+            covariance = rows.T @ rows / max(len(rows), 1) + np.diag(self._floor**2)
             whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.whiteners = np.array(whiteners)
+
+    @property
+    def _floor(self) -> np.ndarray:
+        """What each channel is never trusted beyond, (c,)."""
+        return np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
 
     def noise_through(
         self,

@@ -93,6 +93,10 @@ class JointResiduals(least_squares.Residuals):
         """Simulated interface markers (n, 2, 3) [m, world] at a point (12 + p,)."""
         return self._run(z[None])[0][0]
 
+    def raw(self, z: np.ndarray) -> np.ndarray:
+        """Residuals (1, n, c) before they are whitened, at a point (12 + p,)."""
+        return self._evidence.raw(*self._run(z[None]))
+
     def judged(self, z: np.ndarray) -> tuple[float, float]:
         """Sum of squares of the data's residuals alone, and J, at a point (12 + p,)."""
         self.evaluations += 1

@@ -31,6 +31,7 @@ from real2sim.diagnosis.decide import (
     Decision,
     decide,
     is_out_of_reach,
+    least_cost,
     next_trial,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence, marker_noise
@@ -52,7 +53,7 @@ SMALLEST_GAP = 0.02
 PLANT_SD_LN = 0.005
 # Probability of `unknown` from which no set of effects is fitted any further
 CERTAIN = 0.99
-# Share of what is left beyond noise that the other way to hold the robot has to take away before it is believed
+# Share of what stands out of the noise that a robot at rest has to explain to be searched for
 HOLD_SHARE = 0.5
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
@@ -68,13 +69,19 @@ def _time_step(settings: dict, step: Path | None) -> float:
 
 
 def prepare(
-    *, train: Path, held_out: Path, neutral: Path, limits: Path | None, robot: Path, settings: dict
+    *,
+    train: Path,
+    held_out: Path,
+    neutral: Path,
+    limits: Path | None,
+    robot: Path,
+    settings: dict,
+    settled: bool = False,
 ) -> tuple[Pair, np.ndarray]:
     """Evidence of both trials, whitened, and the plain fit (12,) of the training trial in ln-parameters.
 
-    The noise is simulated at a fit of J, and once more at the fit that it whitens. The robot's controller holds at the
-    start pose unless that leaves most of a gap which a robot at rest does not (`takes_other_hold`). ``train``,
-    ``held_out`` and ``neutral`` are folders of canonical tables.
+    The noise is simulated at a fit of J, and once more at the fit that it whitens. ``train``, ``held_out`` and
+    ``neutral`` are folders of canonical tables; ``settled``: see `Evidence`.
     """
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     options = settings["diagnosis"]
@@ -84,53 +91,84 @@ def prepare(
         load_evidence(folder=f, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise)
         for f in folders
     ]
+    for item in evidence:
+        item.settled = settled
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
     pair = Pair(evidence[0], evidence[1], bounds)
     for item in evidence:
         item.scales = scales
+        item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
     # J is blind where noise is loud: what it makes of a stiff axis shakes otherwise than what the noise is then seen by
-    z = _whitened(pair, z, options)
-    plain = Search(pair, options["search"]).fit((), z)
-    return pair, _whitened(pair, z, options) if takes_other_hold(pair, plain, options) else z
-
-
-def _whitened(pair: Pair, z: np.ndarray, options: dict) -> np.ndarray:
-    """Whiten by the noise at ln-parameters z (12,), fit the plain plant from there, and whiten by the noise at that."""
-
-    def whiten(at: np.ndarray) -> None:
-        for item in (pair.train, pair.held_out):
-            item.set_noise(np.exp(at), options["noise_draws"], options["search"]["seed"])
-
-    whiten(z)
     z = Search(pair, options["search"]).fit((), z).z
-    whiten(z)
-    return z
+    for item in evidence:
+        item.set_noise(np.exp(z), options["noise_draws"], options["search"]["seed"])
+    return pair, z
 
 
-def takes_other_hold(pair: Pair, best: Hypothesis, options: dict) -> bool:
-    """Whether the robot's controller holds otherwise than ``best`` has it; the trials are then set up that way.
+def looks_settled(pair: Pair, plain: Hypothesis, options: dict) -> bool:
+    """Whether a robot at rest explains most of what one that is let go leaves: of all, or while the person stands.
 
     A robot that was held at its start pose in the first sample is let go there by a strap that pulls; one that came to
-    rest before holds where that balances the strap. No record says which. The other is taken where it leaves less than
-    half of what is left beyond noise, with the same effects.
+    rest before holds where that balances the strap. No record says which. ``plain`` is the fit of a robot that is let
+    go; a cause may do the same as the pull that it leaves unexplained.
     """
+    items = (pair.train, pair.held_out)
     search = Search(pair, options["search"])
-    if search.is_noise(best):
+
+    def unexplained(h: Hypothesis) -> tuple[float, float]:
+        standing = [e.standing(JointResiduals(e, (), pair.bounds).raw(h.z)) for e in items]
+        return sum(h.chi2) - sum(search.samples), float(np.mean(standing)) - 1
+
+    drawn = np.mean([e.standing(e.noise) for e in items if e.noise is not None], axis=0) - 1
+    noise = (options["search"]["pair_excess_sigma"] * np.sqrt(2 * sum(search.samples)), drawn.max())
+    let_go = unexplained(plain)
+    if all(left < most for left, most in zip(let_go, noise, strict=True)):
         return False
-    _hold_otherwise(pair)
-    again = search.fit(best.effects, best.z)
-    left, then = (sum(h.chi2) - sum(search.samples) for h in (best, again))
-    taken = then < (1 - HOLD_SHARE) * left
-    if not taken:
-        _hold_otherwise(pair)
-    return taken
+    for item in items:
+        item.settled = True
+    at_rest = unexplained(search.fit((), plain.z))
+    for item in items:
+        item.settled = False
+    return any(
+        left > most and then < HOLD_SHARE * left
+        for left, then, most in zip(let_go, at_rest, noise, strict=True)
+    )
 
 
-def _hold_otherwise(pair: Pair) -> None:
-    for item in (pair.train, pair.held_out):
-        item.settled = not item.settled
+def searched(
+    *, train: Path, held_out: Path, options: dict, progress: Callable[[str], None], **known: Any
+) -> tuple[Pair, Attribution]:
+    """What the search finds of two trials, which change places where `is_shown_by_held_out_alone`.
+
+    ``options`` is the slice ``diagnosis``, ``known`` are further arguments of `prepare`.
+    """
+    pair, z = prepare(train=train, held_out=held_out, **known)
+    if is_shown_by_held_out_alone(pair, z, options):
+        progress(f"{train.name} shows no gap and {held_out.name} does: effects are fitted on the latter")
+        pair, z = prepare(train=held_out, held_out=train, **known)
+        pair = replace(pair, exchanged=True)
+    return pair, attribute(pair, z, options["search"], progress, calibration=options["calibration"])
+
+
+def searched_twice(
+    *, options: dict, progress: Callable[[str], None], **known: Any
+) -> tuple[Pair, Attribution]:
+    """As `searched`, for a robot that is let go, and once more for one at rest where it `looks_settled`.
+
+    Taken is the answer that leaves less for its price. Arguments as of `searched`.
+    """
+
+    def cost(attribution: Attribution) -> float:
+        return least_cost(*candidates_of(attribution), attribution.samples, options["calibration"])
+
+    found = searched(options=options, progress=progress, **known)
+    if not looks_settled(found[0], found[1].plain, options):
+        return found
+    progress("the robot may have been at rest against the strap: searched once more for that")
+    settled = searched(options=options, progress=progress, settled=True, **known)
+    return settled if cost(settled[1]) < cost(found[1]) else found
 
 
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict) -> bool:
@@ -184,7 +222,8 @@ def diagnose(
         Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
         with effect.
 
-    The trials change places where `is_shown_by_held_out_alone`.
+    Where the trials look as if the robot had been at rest (`looks_settled`), that is searched too, and the answer taken
+    that leaves less for its price.
     """
 
     def progress(text: str) -> None:
@@ -192,24 +231,18 @@ def diagnose(
 
     settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
     options = settings["diagnosis"]
-    known_of_both: dict[str, Any] = {
-        "neutral": neutral,
-        "limits": limits,
-        "robot": robot,
-        "settings": settings,
-    }
-    pair, z = prepare(train=train, held_out=held_out, **known_of_both)
-    if is_shown_by_held_out_alone(pair, z, options):
-        progress(f"{train.name} shows no gap and {held_out.name} does: effects are fitted on the latter")
+    pair, attribution = searched_twice(
+        train=train,
+        held_out=held_out,
+        neutral=neutral,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        options=options,
+        progress=progress,
+    )
+    if pair.exchanged:
         train, held_out = held_out, train
-        pair, z = prepare(train=train, held_out=held_out, **known_of_both)
-        pair = replace(pair, exchanged=True)
-    attribution = attribute(pair, z, options["search"], progress, calibration=options["calibration"])
-    best = min([attribution.plain, *attribution.hypotheses], key=lambda h: sum(h.chi2))
-    if takes_other_hold(pair, best, options):
-        progress(f"the robot's controller holds otherwise: {_hold(pair)}")
-        z = _whitened(pair, attribution.plain.z, options)
-        attribution = attribute(pair, z, options["search"], progress, calibration=options["calibration"])
     decision = _decided(pair, attribution, options)
     progress(f"verdict {decision.verdict}")
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)

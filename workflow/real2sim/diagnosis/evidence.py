@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -43,6 +44,7 @@ from real2sim.geometry import (
 )
 from real2sim.identification.cost import CostScales, TrialCost
 from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs
+from real2sim.quality.markers import MARKERS, distances, stacked
 
 # What a channel is never trusted beyond: markers [m], base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
@@ -358,14 +360,14 @@ class Evidence:
         return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
 
     def _filtered_noise(
-        self, names: tuple[str, ...], cutoff_hz: float, rng: np.random.Generator
+        self, names: tuple[str, ...], colour: np.ndarray, cutoff_hz: float, rng: np.random.Generator
     ) -> np.ndarray:
-        """Noise (n, m, 3) [m] of markers as the filter leaves it."""
+        """Noise (n, m, 3) [m] of markers as the filter leaves it, ``colour`` (bands,) as of `noise_colour`."""
         settings, n = self.settings["ingest"], len(self.trial.time_s)
         white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
-        if (self.colour > 1).any():
+        if (colour > 1).any():
             frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
-            louder = np.sqrt(self.colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
+            louder = np.sqrt(colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
             white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
         rate, own = settings["rate_hz"], settings["cutoff_hz"]
         if cutoff_hz < own:
@@ -378,11 +380,13 @@ class Evidence:
             trial, rng = self.trial, np.random.default_rng([seed, i])
             clean = _rigid_markers(trial)
             r_clean, p_clean = pelvis_frame(*clean)
-            noise = self._filtered_noise(PELVIS_MARKERS, self.pelvis_cutoff_hz, rng)
+            noise = self._filtered_noise(PELVIS_MARKERS, self.colour[0], self.pelvis_cutoff_hz, rng)
             r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
             turn = np.einsum("nij,nkj->nik", r, r_clean)
             rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-            own = self._filtered_noise(INTERFACE_MARKERS, self.settings["ingest"]["cutoff_hz"], rng)
+            own = self._filtered_noise(
+                INTERFACE_MARKERS, self.colour[1], self.settings["ingest"]["cutoff_hz"], rng
+            )
             self.draws[seed, i] = rotation, position, own
         return self.draws[seed, i]
 
@@ -633,40 +637,84 @@ def _white_variance(series: np.ndarray, rate_hz: float, band_hz: tuple[float, fl
 
 
 def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
-    """How much more power the markers' noise has in each band of BANDS_HZ than where `marker_noise` looks, 1 or more.
+    """How much more power noise has in each band of BANDS_HZ than where `marker_noise` looks, 1 or more: (2, bands).
 
-    The two markers of the interface sit on one plate: whatever it does, only their noise changes their distance. White
-    noise and noise that forgets (an Ornstein-Uhlenbeck process: as loud below a corner, falling with the square of the
-    frequency above) are fitted to its spectrum by Whittle's likelihood, for some seconds hold few periods of the slow
-    bands; the slow one is believed only where chance would hardly make it. ``markers`` is markers.parquet of the
-    neutral trial.
+    Of the pelvis' and of the interface's markers. Markers of a body that stands keep their distances, whatever it does;
+    only their noise changes them. White noise and noise that forgets (an Ornstein-Uhlenbeck process: as loud below a
+    corner, falling with the square of the frequency above) are fitted to the spectra by Whittle's likelihood, for some
+    seconds hold few periods of the slow bands; the slow one is believed only where chance would hardly make it. Both
+    bodies have the same noise unless they show otherwise: the one distance on the interface tells little. ``markers``
+    is markers.parquet of the neutral trial.
     """
     table = pq.read_table(markers)
-    left, right = (
-        bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
-        for name in INTERFACE_MARKERS
-    )
-    distance = np.linalg.norm(left - right, axis=1)
-    frequency = np.arange(len(distance)) * rate_hz / (2 * len(distance))
-    seen = (frequency > 0) & (frequency < NOISE_BAND_HZ[1])
-    power = (dct(distance - distance.mean(), norm="ortho") ** 2)[seen]
+    places = {m: np.column_stack([table[f"{m}_{c}"].to_numpy() for c in "xyz"]) for m in MARKERS}
+    lengths = distances(stacked(places))
+    frequency = np.arange(len(lengths)) * rate_hz / (2 * len(lengths))
+    powers = [_power(lengths[:, body], frequency) for body in (slice(-1), slice(-1, None))]
+    slow = frequency[_heard(frequency)]
+    together, apart = _slow_noise(np.hstack(powers), slow), [_slow_noise(power, slow) for power in powers]
+    sure = chi2.ppf(COLOUR_SURE, 2)
+    differ = together.deviance - sum(noise.deviance for noise in apart) > sure
+    return np.array([noise.colour(sure) for noise in (apart if differ else [together] * 2)])
 
-    def shape(loud: float, corner_hz: float, f: np.ndarray) -> np.ndarray:
-        return 1 + loud / (1 + (f / corner_hz) ** 2)
+
+def _heard(frequency: np.ndarray) -> np.ndarray:
+    """Which frequencies [Hz] tell of the noise."""
+    return (frequency > 0) & (frequency < NOISE_BAND_HZ[1])
+
+
+def _power(series: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    """Power (f, k) of independent combinations of series (n, k) where `_heard`; those never seen are left out.
+
+    Two distances that share a marker share its noise.
+    """
+    seen = bridged(series[:, np.isfinite(series).any(axis=0)])
+    coefficients = dct(seen - seen.mean(axis=0), axis=0, norm="ortho")
+    fast = coefficients[(frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])]
+    mixed = np.linalg.cholesky(fast.T @ fast / len(fast))
+    return np.asarray(np.linalg.solve(mixed, coefficients[_heard(frequency)].T).T ** 2)
+
+
+@dataclass(frozen=True)
+class _SlowNoise:
+    """Fit of slow noise beside white noise: its power against the white one's below a corner [Hz].
+
+    ``deviance`` is minus twice Whittle's log-likelihood, but for a constant, and ``white`` that without slow noise.
+    """
+
+    deviance: float
+    white: float
+    loud: float
+    corner_hz: float
+
+    def shape(self, low_hz: float, high_hz: float) -> float:
+        """Mean power of a band against the white noise's."""
+        return float(_shape(self.loud, self.corner_hz, np.linspace(low_hz, high_hz)).mean())
+
+    def colour(self, sure: float) -> np.ndarray:
+        """Of `noise_colour`, for one body; white where the deviance does not fall by as much as ``sure``."""
+        if self.white - self.deviance < sure:
+            return np.ones(len(BANDS_HZ) - 1)
+        of_bands = [self.shape(low, high) for low, high in pairwise(BANDS_HZ)]
+        return np.maximum(np.array(of_bands) / self.shape(*NOISE_BAND_HZ), 1.0)
+
+
+def _shape(loud: float, corner_hz: float, frequency: np.ndarray) -> np.ndarray:
+    return 1 + loud / (1 + (frequency / corner_hz) ** 2)
+
+
+def _slow_noise(power: np.ndarray, frequency: np.ndarray) -> _SlowNoise:
+    """Likeliest slow noise of spectra (f, k) that each have a level of their own."""
 
     def deviance(loud: float, corner_hz: float) -> float:
-        g = shape(loud, corner_hz, frequency[seen])
-        return float(len(g) * np.log(np.mean(power / g)) + np.log(g).sum())
+        shape = _shape(loud, corner_hz, frequency)[:, None]
+        return float(len(shape) * np.log(np.mean(power / shape, axis=0)).sum()) + float(
+            power.shape[1] * np.log(shape).sum()
+        )
 
-    fits = [(deviance(a, c), a, c) for a in _SLOW_POWERS for c in _SLOW_CORNERS_HZ]
-    best, loud, corner = min(fits)
-    colour = np.ones(len(BANDS_HZ) - 1)
-    if deviance(0.0, 1.0) - best < chi2.ppf(COLOUR_SURE, 2):
-        return colour
-    known = shape(loud, corner, np.linspace(*NOISE_BAND_HZ)).mean()
-    for b in range(len(colour)):
-        colour[b] = shape(loud, corner, np.linspace(BANDS_HZ[b], BANDS_HZ[b + 1])).mean() / known
-    return np.maximum(colour, 1.0)
+    white = deviance(0.0, 1.0)
+    best = min((deviance(a, c), a, c) for a in _SLOW_POWERS for c in _SLOW_CORNERS_HZ)
+    return _SlowNoise(best[0], white, *best[1:])
 
 
 def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:

@@ -1089,17 +1089,26 @@ def test_what_is_left_while_standing_is_told_in_units_of_noise():
 
 
 @pytest.mark.parametrize(
-    ("looks", "left", "taken"), [(True, 2900.0, True), (True, 9000.0, False), (False, 0.0, False)]
+    ("said", "looks", "left", "holds", "other"),
+    [
+        ("auto", True, 2900.0, True, False),
+        ("auto", True, 9000.0, False, True),
+        ("auto", False, 0.0, False, None),
+        ("start pose", True, 0.0, False, None),  # the lab knows
+        ("balance", False, 9000.0, True, None),
+    ],
 )
-def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, looks, left, taken):
+def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, looks, left, holds, other):
     def searched(settled=False, **known):
         chi2 = (left if settled else 4000.0,) * 2
         return settled, Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880))
 
     monkeypatch.setattr(stage, "searched", searched)
     monkeypatch.setattr(stage, "looks_settled", lambda *about: looks)
-    found, _ = stage.searched_twice(options=CONFIG["diagnosis"], progress=lambda text: None)
-    assert found is taken
+    options = CONFIG["diagnosis"] | {"robot_holds": said}
+    found, rest = stage.searched_as_held(options=options, progress=lambda text: None)
+    assert found[0] is holds
+    assert (rest[0] if rest else None) is other
 
 
 def test_of_two_searches_the_one_is_taken_that_leaves_less_for_its_price():

@@ -74,6 +74,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "phantom": phantom,
         "refused_gates": {},
         "robot_holds": "start pose",
+        "otherwise": None,
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
         "noise_floor": {
@@ -206,8 +207,26 @@ def test_page_names_the_gates_that_refuse_what_it_rests_on(tmp_path):
 
 def test_page_says_where_the_controller_holds_where_that_is_not_the_start_pose(tmp_path):
     text = _page(tmp_path, _diagnosis(robot_holds="balance")).text
-    assert "The robot had come to rest against the strap before the trials began" in text
+    assert "The robot is taken to have come to rest against the strap before the trials began" in text
     assert "come to rest" not in _page(tmp_path, _diagnosis()).text
+
+
+def test_page_says_what_the_answer_would_be_for_a_robot_that_was_held_otherwise(tmp_path):
+    other = {
+        "robot_holds": "start pose",
+        "verdict_set": ["preload", "slack"],
+        "probability": 0.97,
+        "chi2_best": [2500.0, 2600.0],
+        "chi2_expected": [2880, 2880],
+    }
+    text = _page(tmp_path, _diagnosis("none", robot_holds="balance", otherwise=other)).text
+    assert (
+        "Had the robot been let go at its start pose when they began, the answer would be preload and slack"
+        in text
+    )
+    assert "(97 %), which leaves 5100 of chi-squared where noise leaves 5760" in text
+    same = _diagnosis(otherwise=other | {"robot_holds": "balance", "verdict_set": ["slack"]})
+    assert "Had the robot been" not in _page(tmp_path, same | {"verdict_set": ["slack"]}).text
 
 
 def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_path):

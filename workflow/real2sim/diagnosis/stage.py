@@ -152,23 +152,46 @@ def searched(
     return pair, attribute(pair, z, options["search"], progress, calibration=options["calibration"])
 
 
-def searched_twice(
+# Two trials, and what the search found of them
+Found = tuple[Pair, Attribution]
+
+
+def searched_as_held(
     *, options: dict, progress: Callable[[str], None], **known: Any
-) -> tuple[Pair, Attribution]:
+) -> tuple[Found, Found | None]:
     """As `searched`, for a robot that is let go, and once more for one at rest where it `looks_settled`.
 
-    Taken is the answer that leaves less for its price. Arguments as of `searched`.
+    First what leaves less for its price, then the other, where both were searched. Where a lab knows how its robot was
+    held (``diagnosis.robot_holds``) that alone is searched. Arguments as of `searched`.
     """
 
-    def cost(attribution: Attribution) -> float:
-        return least_cost(*candidates_of(attribution), attribution.samples, options["calibration"])
+    def cost(found: Found) -> float:
+        return least_cost(*candidates_of(found[1]), found[1].samples, options["calibration"])
 
-    found = searched(options=options, progress=progress, **known)
-    if not looks_settled(found[0], found[1].plain, options):
-        return found
+    if options["robot_holds"] == BALANCE:
+        return searched(options=options, progress=progress, settled=True, **known), None
+    let_go = searched(options=options, progress=progress, **known)
+    if options["robot_holds"] == START_POSE or not looks_settled(let_go[0], let_go[1].plain, options):
+        return let_go, None
     progress("the robot may have been at rest against the strap: searched once more for that")
-    settled = searched(options=options, progress=progress, settled=True, **known)
-    return settled if cost(settled[1]) < cost(found[1]) else found
+    at_rest = searched(options=options, progress=progress, settled=True, **known)
+    return (at_rest, let_go) if cost(at_rest) < cost(let_go) else (let_go, at_rest)
+
+
+def _otherwise(found: Found | None, options: dict) -> dict[str, Any] | None:
+    """What the answer would be if the robot's controller held otherwise; None where that was not searched."""
+    if found is None:
+        return None
+    pair, attribution = found
+    decision = _decided(pair, attribution, options)
+    return {
+        "robot_holds": _hold(pair),
+        "verdict": decision.verdict,
+        "verdict_set": _named(attribution, decision),
+        "probability": decision.probabilities[decision.verdict],
+        "chi2_best": list(_chosen(attribution, decision).chi2),
+        "chi2_expected": list(attribution.samples),
+    }
 
 
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict) -> bool:
@@ -231,7 +254,7 @@ def diagnose(
 
     settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
     options = settings["diagnosis"]
-    pair, attribution = searched_twice(
+    (pair, attribution), other = searched_as_held(
         train=train,
         held_out=held_out,
         neutral=neutral,
@@ -263,6 +286,7 @@ def diagnose(
             "held_out": [held_out.name],
             "shown_on": [train.name if pair.exchanged else held_out.name],
             "robot_holds": _hold(pair),
+            "otherwise": _otherwise(other, options),
         }
         | _answer(pair, attribution, decision, known)
         | {
@@ -297,6 +321,11 @@ def _decided(pair: Pair, attribution: Attribution, options: dict) -> Decision:
         converged.add(likeliest)
         hypothesis = attribution.hypotheses[likeliest]
         attribution.hypotheses[likeliest] = finished(pair, hypothesis, options["search"])
+
+
+def _named(attribution: Attribution, decision: Decision) -> list[str]:
+    """Effects of the set that the verdict rests on, or `none` or `unknown`."""
+    return list(_chosen(attribution, decision).names) or [decision.verdict]
 
 
 def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
@@ -362,7 +391,7 @@ def _answer(
         "considered": _considered(attribution, decision, pair.exchanged),
         "probabilities": decision.probabilities,
         "verdict": decision.verdict,
-        "verdict_set": list(best.names) if decision.chosen is not None else [decision.verdict],
+        "verdict_set": _named(attribution, decision),
         "ambiguity_group": list(decision.group),
         "next_trial": next_trial(decision),
         "baselines": _baselines(attribution) | _independent_noise(pair.train, attribution),

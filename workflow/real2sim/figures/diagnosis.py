@@ -58,6 +58,7 @@ _KEYS = (
     "phantom",
     "refused_gates",
     "robot_holds",
+    "otherwise",
     "train",
     "held_out",
     "noise_floor",
@@ -244,13 +245,22 @@ def _exchanged(d: Mapping[str, Any]) -> str:
 
 
 def _hold(d: Mapping[str, Any]) -> str:
-    """Where the robot's controller holds, where that is not the start pose."""
-    if d["robot_holds"] == "start pose":
-        return ""
-    return (
-        "The robot had come to rest against the strap before the trials began: its controller is taken to hold where "
-        "that balances what pulls at the start, not at the start pose. A constant force (preload, tilt) does not show "
-        "in such trials."
+    """Where the robot's controller is taken to hold, and what the answer would be if it held otherwise."""
+    taken = {
+        "start pose": "",
+        "balance": "The robot is taken to have come to rest against the strap before the trials began: its controller "
+        "holds where that balances what pulls at the start, not at the start pose. A constant force (preload, tilt) "
+        "does not show in such trials. ",
+    }[d["robot_holds"]]
+    other = d["otherwise"]
+    if other is None or other["verdict_set"] == d["verdict_set"]:
+        return taken
+    how = {"start pose": "let go at its start pose", "balance": "at rest against the strap"}
+    left, noise = (rounded(sum(other[key]), 3) for key in ("chi2_best", "chi2_expected"))
+    answer = f"{_listed(other['verdict_set'])} ({percent(other['probability'])})"
+    return taken + (
+        f"Had the robot been {how[other['robot_holds']]} when they began, the answer would be {answer}, which leaves "
+        f"{left} of chi-squared where noise leaves {noise}. If you know how it was, set diagnosis.robot_holds."
     )
 
 

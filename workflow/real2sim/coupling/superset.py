@@ -120,6 +120,7 @@ class EffectReplay(Replay):
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
         self._parameters = np.empty((0, 12))
+        self._beside = np.zeros((self._batch.nsim, 6))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
         chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
@@ -245,6 +246,10 @@ class EffectReplay(Replay):
             mujoco.mju_mat2Quat(quat[k, pelvis], pose.rest.rotation.T.flatten())
             centre[k, pelvis] = origin[k, site] = -pose.rest.position
             spring[k, model.jnt_qposadr[self._robot_joints]] = pose.joints
+
+    def hold_beside(self, shifts: np.ndarray) -> None:
+        """Let the controller of a robot at rest hold beside the balance, (nsim, 6) [m, rad] by robot joint."""
+        self._beside[:] = shifts
 
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another pelvis command (nstep, 6) from now on."""
@@ -428,6 +433,7 @@ class EffectReplay(Replay):
             follow = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
             pulled = force[k, dofs] + follow.T @ force[k, self._dofs]
             springs[k, adr] -= np.where(stiffness[k] > 0, pulled / np.maximum(stiffness[k], 1e-9), 0.0)
+        springs[:, model.jnt_qposadr[self._robot_joints]] += self._beside[:m]
         batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, velocity
         self._began_at = position[0]

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.fft import dct, idct
 from scipy.signal import welch
@@ -31,6 +32,8 @@ from real2sim.coupling.plant import (
     ROBOT_JOINTS,
     STRAP_JOINTS,
     JointLimits,
+    impedances,
+    load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
 from real2sim.geometry import (
@@ -124,6 +127,7 @@ class Evidence:
     paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
+    ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
     ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`. What input
     chains and noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths,
     ``commands`` of a time step; so are ``start_joints``.
@@ -143,12 +147,14 @@ class Evidence:
     colour: np.ndarray
     robot_sd: np.ndarray
     rest_sd: np.ndarray
+    hold_sd: np.ndarray
     pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
     start_joints: np.ndarray | None = None
     rests: np.ndarray | None = None
     starts: np.ndarray | None = None
+    holds: np.ndarray | None = None
     settled: bool = False
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -274,7 +280,7 @@ class Evidence:
     def set_noise(self, parameters: np.ndarray, draws: int, seed: int) -> None:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         n = len(self.trial.time_s)
-        self.rests, self.starts = self._elsewhere(parameters)
+        self.rests, self.starts, self.holds = self._elsewhere(parameters)
         self.noise = error = self._noise(parameters, draws, seed)
         coefficients = self.spectrum(error)
         band = self.band_of(n)
@@ -322,7 +328,9 @@ class Evidence:
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
         assert self.rests is not None
         assert self.starts is not None
-        error = error + np.tensordot(rng.standard_normal((draws, len(self.rests))), self.rests, axes=1)
+        assert self.holds is not None
+        for poses in (self.rests, self.holds):
+            error = error + np.tensordot(rng.standard_normal((draws, len(poses))), poses, axes=1)
         error = error + np.tensordot(self._misjudged(markers), self.starts, axes=1)
         return self._without_gaps(error)
 
@@ -332,26 +340,29 @@ class Evidence:
         bar = np.diff(np.nanmean(self.trial.interface[: self.context.start], axis=0)[::-1], axis=0)[0]
         return np.hstack([(left + right) / 2, np.cross(bar, left - right) / (bar @ bar)])
 
-    def _elsewhere(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What a strap that rests and a robot that starts elsewhere do to the residuals.
+    def _elsewhere(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What a strap that rests, a robot that starts and a controller that holds elsewhere do to the residuals.
 
-        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; and per metre and radian of a start pose.
+        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
+        for a hold one SD off (`hold_uncertainty`), by robot joint, none for a robot that is let go.
         """
         effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
         effects.append(Placed(_START, Where((), 0, "", _START.name), self.scales))
-        m = 1 + 2 * 6
+        beside = np.diag(self.hold_sd) if self.settled else np.empty((0, 6))
+        m = 1 + 2 * 6 + len(beside)
         x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]
         for i, placed in enumerate(effects[:6]):
             x[i][1 + i] = self.rest_sd[placed.where.axes[0]] / placed.values(np.ones((1, 1)))
-        x[6][7:] = _START_STEP * np.eye(6)
+        x[6][7:13] = _START_STEP * np.eye(6)
         replay = self.replay(effects, m, coarse=True)
+        replay.hold_beside(np.concatenate([np.zeros((13, 6)), beside]))
         paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
         out = paths.reshape(m, -1, 6)
         if self.robot is not None:
             out = np.concatenate([out, self._from_start(joints)], axis=2)
         # a pose that MuJoCo gives up on is none that was
         moved = np.nan_to_num(out[1:] - out[:1])
-        return moved[:6], moved[6:] / _START_STEP
+        return moved[:6], moved[6:12] / _START_STEP, moved[12:]
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
@@ -527,6 +538,7 @@ def load_evidence(
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     colour = noise_colour(neutral / "markers.parquet", rate)
     log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
+    twin = load_robot(robot).compile()
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     context = Context(
@@ -536,7 +548,7 @@ def load_evidence(
         bridged(trial.pelvis_position),
         bridged_rotation(rotation),
         start,
-        float(mujoco.MjModel.from_xml_path(str(robot)).body_mass.sum()),
+        float(twin.body_mass.sum()),
         trial.interface,
         spikes(trial.interface, rate),
         signals.lowpass(q, rate, cutoff, 4),
@@ -548,7 +560,10 @@ def load_evidence(
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones)
-    of_channels = (sd, colour, log_sd, rest_uncertainty(neutral / "pose.parquet", rate))
+    standing = neutral / "pose.parquet"
+    held = impedances(settings["robot"], "hold")
+    of_poses = rest_uncertainty(standing, rate), hold_uncertainty(standing, rate, twin, held)
+    of_channels = (sd, colour, log_sd, *of_poses)
     return Evidence(
         trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, cutoff
     )
@@ -557,10 +572,15 @@ def load_evidence(
 def _mean_pelvis(neutral: Path) -> tuple[np.ndarray, np.ndarray]:
     """Mean pelvis rotation (3, 3) and position (3,) [m, world] of the neutral trial's tables."""
     table = pq.read_table(neutral / "pose.parquet")
-    quaternion = np.column_stack([table[f"pelvis_q{c}"].to_numpy() for c in "wxyz"])
+    rotation = _rotations(table, "pelvis")
     position = np.column_stack([table[f"pelvis_{c}"].to_numpy() for c in "xyz"])
-    known = np.isfinite(quaternion).all(axis=1)
-    return mean_rotation(rotation_matrix(quaternion[known])), position[known].mean(axis=0)
+    known = np.isfinite(rotation).all(axis=(1, 2))
+    return mean_rotation(rotation[known]), position[known].mean(axis=0)
+
+
+def _rotations(table: pa.Table, body: str) -> np.ndarray:
+    """Rotations (n, 3, 3) of a body in a table of poses."""
+    return rotation_matrix(np.column_stack([table[f"{body}_q{c}"].to_numpy() for c in "wxyz"]))
 
 
 def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
@@ -725,6 +745,30 @@ def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:
     q, second = measured_coordinates(pose, "q"), round(rate_hz)
     seconds = q[: len(q) // second * second].reshape(-1, second, len(AXES)).mean(axis=1)
     return np.asarray(seconds.std(axis=0, ddof=1) / np.sqrt(len(seconds)))
+
+
+def hold_uncertainty(
+    pose: Path, rate_hz: float, robot: mujoco.MjModel, held: dict[str, dict[str, float]]
+) -> np.ndarray:
+    """How far (6,) [m, rad] beside the balance with the strap a controller may hold, by robot joint: SD.
+
+    A person who sways pulls at a robot that has come to rest, and its damping and inertia take a part of the pull: it
+    is never quite in balance. By how much the interface moves from second to second of ``pose`` (pose.parquet of the
+    neutral trial). ``held`` as from `impedances`.
+    """
+    table, second = pq.read_table(pose), round(rate_hz)
+    place = bridged(np.column_stack([table[f"interface_{c}"].to_numpy() for c in "xyz"]))
+    turn = _vectors(_rotations(table, "interface"))
+    path = np.column_stack([place[:, :2], turn[:, 2], place[:, 2], turn[:, :2]])
+    means = path[: len(path) // second * second].reshape(-1, second, 6).mean(axis=1)
+    speed = np.sqrt(np.mean(np.diff(means, axis=0) ** 2, axis=0))
+    acceleration = speed**2 / np.maximum(means.std(axis=0), 1e-9)
+    data, mass = mujoco.MjData(robot), np.zeros((robot.nv, robot.nv))
+    mujoco.mj_forward(robot, data)
+    mujoco.mj_fullM(robot, data, mass)
+    inertia = np.diag(mass)[[robot.joint(name).dofadr[0] for name in ROBOT_JOINTS]]
+    stiffness, damping = (np.array([held[j][key] for j in ROBOT_JOINTS]) for key in ("stiffness", "damping"))
+    return np.asarray(np.hypot(damping * speed, inertia * acceleration) / stiffness)
 
 
 def robot_noise(neutral: Path, trial: Path, rate_hz: float) -> np.ndarray:

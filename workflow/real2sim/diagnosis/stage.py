@@ -54,7 +54,7 @@ PLANT_SD_LN = 0.005
 # Probability of `unknown` from which no set of effects is fitted any further
 CERTAIN = 0.99
 # Share of what stands out of the noise that a robot at rest has to explain to be searched for
-HOLD_SHARE = 0.5
+HOLD_SHARE = 0.25
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
@@ -108,7 +108,7 @@ def prepare(
 
 
 def looks_settled(pair: Pair, plain: Hypothesis, options: dict) -> bool:
-    """Whether a robot at rest explains most of what one that is let go leaves: of all, or while the person stands.
+    """Whether a robot at rest explains much of what one that is let go leaves: of all, or while the person stands.
 
     A robot that was held at its start pose in the first sample is let go there by a strap that pulls; one that came to
     rest before holds where that balances the strap. No record says which. ``plain`` is the fit of a robot that is let
@@ -132,7 +132,7 @@ def looks_settled(pair: Pair, plain: Hypothesis, options: dict) -> bool:
     for item in items:
         item.settled = False
     return any(
-        left > most and then < HOLD_SHARE * left
+        left > most and then < (1 - HOLD_SHARE) * left
         for left, then, most in zip(let_go, at_rest, noise, strict=True)
     )
 

@@ -100,24 +100,6 @@ def _laws(candidate: Candidate) -> int:
     return sum(name not in ISOLATED for name in candidate.names)
 
 
-def _cost(candidate: Candidate, further: float, c: Mapping[str, float]) -> float:
-    """What a set leaves of chi-squared, and the prices of its parameters and of all its laws but the first.
-
-    ``further`` as of `further_price`.
-    """
-    price = c["per_parameter"] * candidate.parameters
-    price += c["isolated"] * (len(candidate.names) - _laws(candidate))
-    return _left(candidate, c) + price + further * max(_laws(candidate) - 1, 0)
-
-
-def least_cost(
-    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
-) -> float:
-    """What the best answer leaves of chi-squared, and the prices of all its laws: the less, the better."""
-    further = further_price(plain.chi2, samples, c)
-    return min(_cost(x, further, c) + (c["none_gain"] if _laws(x) else 0.0) for x in (plain, *candidates))
-
-
 def logits(
     plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
 ) -> np.ndarray:
@@ -128,7 +110,10 @@ def logits(
     further = further_price(plain.chi2, samples, c)
 
     def score(candidate: Candidate) -> float:
-        return -_cost(candidate, further, c) / temperature
+        price = c["per_parameter"] * candidate.parameters
+        price += c["isolated"] * (len(candidate.names) - _laws(candidate))
+        price += further * max(_laws(candidate) - 1, 0)
+        return -(_left(candidate, c) + price) / temperature
 
     best = max([score(x) for x in candidates] + [score(plain)])
     # an effect has no better chance for having many forms and places: its best one counts, the others share with it
@@ -203,6 +188,29 @@ def decide(
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
     return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+
+
+def cost_of_answer(
+    plain: Candidate,
+    candidates: Sequence[Candidate],
+    samples: tuple[int, int],
+    calibration: Mapping[str, float],
+) -> float:
+    """What the answer leaves of chi-squared on both trials, and a price for its parameters and laws.
+
+    It tells which of two ways to hold the robot is the better one. A static law does under one what no law has to under
+    the other, so that a law costs little here beside what it must earn to be named. Where the answer is `unknown`, the
+    set counts that leaves least. Arguments as of `decide`.
+    """
+    decision = decide(plain, candidates, samples, calibration)
+    if decision.chosen is not None:
+        answer = candidates[decision.chosen]
+    elif decision.verdict == NONE:
+        answer = plain
+    else:
+        answer = min((plain, *candidates), key=lambda x: sum(x.chi2))
+    price = calibration["per_parameter"] * answer.parameters + calibration["law_of_hold"] * _laws(answer)
+    return sum(answer.chi2) + price
 
 
 def _shares(

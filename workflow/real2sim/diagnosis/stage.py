@@ -29,9 +29,9 @@ from real2sim.diagnosis.decide import (
     UNKNOWN,
     Candidate,
     Decision,
+    cost_of_answer,
     decide,
     is_out_of_reach,
-    least_cost,
     next_trial,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence, marker_noise
@@ -166,7 +166,7 @@ def searched_as_held(
     """
 
     def cost(found: Found) -> float:
-        return least_cost(*candidates_of(found[1]), found[1].samples, options["calibration"])
+        return cost_of_answer(*candidates_of(found[1]), found[1].samples, options["calibration"])
 
     if options["robot_holds"] == BALANCE:
         return searched(options=options, progress=progress, settled=True, **known), None

@@ -221,10 +221,11 @@ def test_page_says_what_the_answer_would_be_for_a_robot_that_was_held_otherwise(
     }
     text = _page(tmp_path, _diagnosis("none", robot_holds="balance", otherwise=other)).text
     assert (
-        "Had the robot been let go at its start pose when they began, the answer would be preload and slack"
+        "Had the robot been let go at its start pose when the trials began, the answer would be preload and slack"
         in text
     )
     assert "(97 %), which leaves 5100 of chi-squared where noise leaves 5760" in text
+    assert "Next trial: The same trials, begun where the strap pulls at nothing" in text
     same = _diagnosis(otherwise=other | {"robot_holds": "balance", "verdict_set": ["slack"]})
     assert "Had the robot been" not in _page(tmp_path, same | {"verdict_set": ["slack"]}).text
 

@@ -222,6 +222,8 @@ def _trial(d: Mapping[str, Any]) -> str:
     """The next trial, or why there is none."""
     if d["next_trial"]:
         return str(d["next_trial"])
+    if _hangs_on_hold(d):
+        return "the same trials, begun where the strap pulls at nothing, in the pose of neutral"
     if d["verdict"] == "unknown":
         return "the catalogue has none for a cause that it does not hold; start from where the gap lies"
     return "none is needed to tell causes apart"
@@ -244,6 +246,11 @@ def _exchanged(d: Mapping[str, Any]) -> str:
     )
 
 
+def _hangs_on_hold(d: Mapping[str, Any]) -> bool:
+    """Whether another answer was found for a robot that is held otherwise."""
+    return d["otherwise"] is not None and d["otherwise"]["verdict_set"] != d["verdict_set"]
+
+
 def _hold(d: Mapping[str, Any]) -> str:
     """Where the robot's controller is taken to hold, and what the answer would be if it held otherwise."""
     taken = {
@@ -253,14 +260,14 @@ def _hold(d: Mapping[str, Any]) -> str:
         "does not show in such trials. ",
     }[d["robot_holds"]]
     other = d["otherwise"]
-    if other is None or other["verdict_set"] == d["verdict_set"]:
+    if not _hangs_on_hold(d):
         return taken
     how = {"start pose": "let go at its start pose", "balance": "at rest against the strap"}
     left, noise = (rounded(sum(other[key]), 3) for key in ("chi2_best", "chi2_expected"))
     answer = f"{_listed(other['verdict_set'])} ({percent(other['probability'])})"
     return taken + (
-        f"Had the robot been {how[other['robot_holds']]} when they began, the answer would be {answer}, which leaves "
-        f"{left} of chi-squared where noise leaves {noise}. If you know how it was, set diagnosis.robot_holds."
+        f"Had the robot been {how[other['robot_holds']]} when the trials began, the answer would be {answer}, which "
+        f"leaves {left} of chi-squared where noise leaves {noise}. If you know how it was, set diagnosis.robot_holds."
     )
 
 

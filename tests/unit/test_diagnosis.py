@@ -1185,13 +1185,20 @@ _BODIES = {
 }
 
 
-def _standing(path: Path, slow_m: dict[str, float], seed: int, lost: str = "") -> np.ndarray:
+def _standing(
+    path: Path,
+    slow_m: dict[str, float],
+    seed: int,
+    lost: str = "",
+    bodies: dict[str, tuple[float, ...]] = _BODIES,
+    white_m: float = 3e-4,
+) -> np.ndarray:
     """`noise_colour` of 8 s of quiet standing with white noise, and of some markers with slow noise beside it [m]."""
     rng, n, rate = np.random.default_rng(seed), 800, 100
     sway = 0.01 * np.sin(2 * np.pi * 0.3 * np.arange(n) / rate)[:, None]
     columns, keep = {}, np.exp(-1 / rate / 0.35)
-    for name, place in _BODIES.items():
-        marker = np.array(place) + sway + 3e-4 * rng.standard_normal((n, 3))
+    for name, place in bodies.items():
+        marker = np.array(place) + sway + white_m * rng.standard_normal((n, 3))
         # Ornstein-Uhlenbeck, forgets in 0.35 s
         drive = slow_m.get(name, 0.0) * rng.standard_normal((n, 3))
         marker += lfilter([np.sqrt(1 - keep**2)], [1, -keep], drive, axis=0)
@@ -1221,6 +1228,19 @@ def test_pelvis_and_interface_have_noise_of_their_own_where_they_show_it(tmp_pat
     skin = _standing(path, {name: 1e-3 for name in _BODIES if "SIS" in name}, 3)
     assert skin[0, 0] > 50
     np.testing.assert_array_equal(skin[1], 1)
+
+
+def test_markers_in_one_plane_tell_of_the_noise_as_others_do(tmp_path):
+    """Six distances of four markers in a plane hear five of their motions; the sixth is a square of noise."""
+    path, slow = tmp_path / "markers.parquet", dict.fromkeys(_BODIES, 1.5e-4)
+    flat = {name: (x, y, 1.0) for name, (x, y, _) in _BODIES.items()}
+    for seed in range(5):
+        assert np.all(_standing(path, {}, seed, bodies=flat) == 1)
+        assert _standing(path, slow, seed, bodies=flat)[0, 0] > 5
+
+
+def test_markers_without_noise_have_none_of_any_colour(tmp_path):
+    assert np.all(_standing(tmp_path / "markers.parquet", {}, 1, white_m=0.0) == 1)
 
 
 def test_a_marker_that_was_never_seen_tells_nothing_of_the_noise(tmp_path):

@@ -68,6 +68,8 @@ NOISE_BAND_HZ = (3.0, 7.0)
 # Probability from which noise that looks slower than white is taken as such, and the slow noise that is tried: power
 # against the white one's at low frequencies, and the corner above which it falls
 COLOUR_SURE = 0.999
+# Share of the loudest combination's variance that another has at least, to tell of the noise
+LEAST_TELLING = 0.01
 _SLOW_POWERS = np.geomspace(0.3, 1000, 30)
 _SLOW_CORNERS_HZ = np.geomspace(0.05, 3.0, 20)
 # Where a moving person hardly moves
@@ -684,15 +686,17 @@ def _heard(frequency: np.ndarray) -> np.ndarray:
 
 
 def _power(series: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-    """Power (f, k) of independent combinations of series (n, k) where `_heard`; those never seen are left out.
+    """Power (f, k) of independent combinations of series (n, j) where `_heard`, those that tell something.
 
-    Two distances that share a marker share its noise.
+    Two distances that share a marker share its noise. Markers in one plane make a combination that noise hardly moves,
+    a marker that is never seen none at all.
     """
     seen = bridged(series[:, np.isfinite(series).any(axis=0)])
     coefficients = dct(seen - seen.mean(axis=0), axis=0, norm="ortho")
     fast = coefficients[(frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])]
-    mixed = np.linalg.cholesky(fast.T @ fast / len(fast))
-    return np.asarray(np.linalg.solve(mixed, coefficients[_heard(frequency)].T).T ** 2)
+    variance, combinations = np.linalg.eigh(fast.T @ fast / len(fast))
+    telling = variance > max(LEAST_TELLING * variance.max(initial=0.0), SMALLEST_NOISE_M**2)
+    return np.asarray((coefficients[_heard(frequency)] @ combinations[:, telling]) ** 2)
 
 
 @dataclass(frozen=True)

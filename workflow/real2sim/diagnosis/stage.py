@@ -55,6 +55,8 @@ PLANT_SD_LN = 0.005
 CERTAIN = 0.99
 # Share of what stands out of the noise that a robot at rest has to explain to be searched for
 HOLD_SHARE = 0.25
+# Two trials, and what the search found of them
+Found = tuple[Pair, Attribution]
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
@@ -139,7 +141,7 @@ def looks_settled(pair: Pair, plain: Hypothesis, options: dict) -> bool:
 
 def searched(
     *, train: Path, held_out: Path, options: dict, progress: Callable[[str], None], **known: Any
-) -> tuple[Pair, Attribution]:
+) -> Found:
     """What the search finds of two trials, which change places where `is_shown_by_held_out_alone`.
 
     ``options`` is the slice ``diagnosis``, ``known`` are further arguments of `prepare`.
@@ -150,10 +152,6 @@ def searched(
         pair, z = prepare(train=held_out, held_out=train, **known)
         pair = replace(pair, exchanged=True)
     return pair, attribute(pair, z, options["search"], progress, calibration=options["calibration"])
-
-
-# Two trials, and what the search found of them
-Found = tuple[Pair, Attribution]
 
 
 def searched_as_held(

@@ -70,10 +70,10 @@ figure { margin: 0.5rem 0; min-width: 0 }
 svg.plot { display: block; width: 100%; height: auto; max-width: 36rem; fill: var(--ink) }
 svg.plot.wide { max-width: none; min-width: 46rem }
 svg.plot text { font-family: system-ui, sans-serif !important }
-.scroll { overflow-x: auto }
+.scroll { overflow-x: auto; container-type: inline-size }
 table { border-collapse: collapse; font-size: 0.9rem; margin: 0.4rem 0; max-width: 100% }
 caption { text-align: left; color: var(--muted); padding-bottom: 0.3rem }
-caption span { display: inline-block; position: sticky; left: 0; max-width: min(46rem, calc(100vw - 2rem)) }
+caption span { display: inline-block; position: sticky; left: 0; max-width: min(46rem, 100cqw) }
 th, td { padding: 0.25rem 0.7rem 0.25rem 0; border-bottom: 1px solid var(--line); text-align: left;
   vertical-align: top }
 th { font-weight: 600 }

@@ -42,7 +42,7 @@ from real2sim import signals
 from real2sim.configuration import validated
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Fields, PlannedForce, Scales
+from real2sim.coupling.mechanisms import DrivenForce, Fields, PlannedForce, Scales
 from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import Pair, attribute
 from real2sim.diagnosis.decide import Decision, decide
@@ -293,6 +293,7 @@ class OneAxisEvidence:
             v,
             np.eye(3),
             np.zeros(3),
+            np.zeros((4, 3)),
         )
 
 
@@ -307,6 +308,7 @@ def places(scales: Scales, moved: bool = False) -> list[Placed]:
         for effect in EFFECTS
         for where in effect.places()
         if where.axes == (0,) or (effect.name in _WHOLE and not (moved and effect.name == "added_mass"))
+        if not isinstance(effect.plant, DrivenForce) or where.axes == (0,)
     ]
 
 

@@ -70,7 +70,7 @@ from real2sim.diagnosis.evidence import (
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
-from real2sim.geometry import AXES, interface_frame
+from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
 from real2sim.identification.least_squares import STEP, Tangent
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
@@ -90,6 +90,8 @@ SCALES = Scales(
 # Interface markers are so far from their middle [m]
 HALF = 0.17
 Pose = tuple[np.ndarray, np.ndarray]
+# Pelvis markers on the pelvis [m]
+PELVIS_SHAPE = np.array([[0.0, 0.12, 0.0], [0.0, -0.12, 0.0], [-0.16, 0.05, 0.0], [-0.16, -0.05, 0.0]])
 LEVEL = np.eye(3), np.array([0.0, 0.0, 0.95])
 # Searched numbers at which an effect does nothing
 NEUTRAL = {
@@ -108,6 +110,8 @@ NEUTRAL = {
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
+    "added_mass hanging": [0.0, 0.0],
+    "coulomb _smooth": [-20.0, 0.0],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
     "lab_yaw": [0.0],
@@ -117,6 +121,7 @@ NEUTRAL = {
     "clock_drift": [0.0],
     "marker_offset": [0.0] * 6,
     "marker_drift": [0.0] * 3,
+    **{f"marker_drift {marker.lower()}": [0.0] * 6 for marker in PELVIS_MARKERS},
     "slack": [-20.0],
     "slack _soft": [-20.0, 0.5],
 }
@@ -133,14 +138,15 @@ def replay(
     neutral_at: np.ndarray | float = 0.0,
     step: float = 0.01,
     settled: bool = False,
+    motion: np.ndarray | None = None,
 ) -> EffectReplay:
-    """Replay of a smooth motion.
+    """Replay of a smooth motion, or of ``motion`` (n, 6) of the pelvis at 100 Hz.
 
     ``seen`` is where the interface's markers, ``half`` [m] from their middle, put it at first; ``noise`` (n, 6) is
     added to its measured coordinates; ``neutral_at`` (3,) [m] is where the neutral trial was taken, from here; ``step``
     [s] is the plant's.
     """
-    offset = smooth_motion(seconds)
+    offset = smooth_motion(seconds) if motion is None else motion
     time = np.arange(len(offset)) / 100
     rotation = rotation_xyz(offset[:, 3:])
     position = np.array([0.0, 0.0, 0.95]) - REST.position + offset[:, :3]
@@ -160,6 +166,7 @@ def replay(
         np.gradient(-offset, 0.01, axis=0),
         np.eye(3),
         position[0] + neutral_at,
+        PELVIS_SHAPE,
     )
     return EffectReplay(
         effects=effects,

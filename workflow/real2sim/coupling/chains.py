@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from real2sim.geometry import interface_frame
+from real2sim.geometry import interface_frame, pelvis_frame
 
 
 @dataclass
@@ -25,7 +25,8 @@ class Context:
     (n, 3); ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the person stands;
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
-    ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken.
+    ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken;
+    ``pelvis_shape`` (4, 3) where the pelvis' markers are on it [m].
     """
 
     time_s: np.ndarray
@@ -41,6 +42,7 @@ class Context:
     rates: np.ndarray
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
+    pelvis_shape: np.ndarray
 
 
 # ---------------------------------------------------------------- how the interface was seen
@@ -126,6 +128,15 @@ class OffCentre:
     def seen(self, paths, rotation, values, context):
         """Joint centres and their offsets."""
         return paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3))
+
+
+class Retaped(OffCentre):
+    """As `OffCentre`, since the neutral trial only: where the strap rests was seen rightly."""
+
+    def true(self, values, seen, context, axes):
+        """Pose at the start from the centres; rest pose as seen."""
+        sight = super().true(values, seen, context, axes)
+        return replace(sight, rest_rotation=seen.rest_rotation, rest_position=seen.rest_position)
 
 
 class RestTurned:
@@ -222,6 +233,26 @@ def soft_tissue(values, context):
     return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
 
 
+def sliding_marker(index: int):
+    """Input chain of a pelvis marker (order of `PELVIS_MARKERS`) that slides over the bone, values (6,) [m/s, pelvis].
+
+    The first three are steady rates, the last three are rates at the start that fade over a third of the trial.
+    """
+
+    def bone(values, context):
+        t = context.time_s - context.time_s[0]
+        fades = t[-1] / 3
+        way = t[:, None] * values[:3] + fades * (1 - np.exp(-t / fades))[:, None] * values[3:]
+        rotation, position = context.pelvis_rotation, context.pelvis_position
+        seen = position[:, None] + np.einsum("nij,kj->nki", rotation, context.pelvis_shape)
+        true = seen.copy()
+        true[:, index] -= np.einsum("nij,nj->ni", rotation, way)
+        (r0, p0), (r1, p1) = (pelvis_frame(*np.moveaxis(markers, 1, 0)) for markers in (seen, true))
+        return np.einsum("nij,nkj->nik", r1, r0) @ rotation, position + p1 - p0
+
+    return bone
+
+
 def _from_cardan(angles):
     """Rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
     return Rotation.from_euler("ZYX", angles[:, ::-1])
@@ -290,6 +321,11 @@ def tilt(values, context, where, parameters):
     """Forces (m, steps, 2) [N] on the base of slopes (m, 2) [rad]."""
     force = 9.81 * context.robot_mass * values
     return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)
+
+
+def weight(values, context, where, parameters):
+    """Forces (m, steps, 1) [N] on the lift of masses, the first of values (m, p) [kg]."""
+    return np.repeat(-9.81 * values[:, :1, None], len(context.step_time_s), axis=1)
 
 
 def ratchet(values, context, where, parameters):

@@ -18,7 +18,7 @@ import numpy as np
 
 from real2sim.coupling import chains
 from real2sim.coupling.answers import Admittance, Reaction
-from real2sim.coupling.chains import Context, OffCentre, RestTurned, Sighting, TurnedLab
+from real2sim.coupling.chains import Context, OffCentre, RestTurned, Retaped, Sighting, TurnedLab
 from real2sim.coupling.mechanisms import (
     AnsweringForce,
     BoucWen,
@@ -28,6 +28,7 @@ from real2sim.coupling.mechanisms import (
     Elastoplastic,
     EvenSpring,
     GentleStop,
+    HangingMass,
     InterfaceMass,
     Maxwell,
     Mechanism,
@@ -39,8 +40,10 @@ from real2sim.coupling.mechanisms import (
     RobotRelaxation,
     Rocking,
     Scales,
+    SmoothFriction,
     SoftDeadBand,
     SplitSpring,
+    StandingForce,
     Stop,
     TurnedAxes,
     TurnedBack,
@@ -49,7 +52,7 @@ from real2sim.coupling.mechanisms import (
     YieldBeyondWheels,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS
-from real2sim.geometry import AXES
+from real2sim.geometry import AXES, PELVIS_MARKERS
 
 TRANSLATIONAL = AXES[:3]
 
@@ -226,6 +229,7 @@ _SPEEDS = "the same amplitude at three speeds"
 _HOLDS = "steps with holds of 5-10 s"
 _JERK = "one sharp jerk at the start and at the end, seen by all systems"
 _STAND = "quiet standing at three headings before and after"
+_SLOPING_FLOOR = "Add to base_x and base_y a constant force: slope times 9.81 m/s2 times the robot's mass"
 _SINGLE = "motions along one axis at a time"
 _MASS = "the same motion with a plate of known mass on the interface"
 
@@ -323,6 +327,20 @@ EFFECTS: tuple[Effect, ...] = (
         "V",
         "slow ramps and reversals at several speeds",
         plant=DryFriction(),
+    ),
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc tanh(qdot / rate): friction that fades towards standstill",
+        (
+            _FRICTION,
+            EffectParameter("rate", "m/s|rad/s", 0.003, 1.0, (0.05,), lambda s, i: float(s.v[i]), log=True),
+        ),
+        "V",
+        "slow ramps and reversals at several speeds",
+        plant=SmoothFriction(),
+        substeps=4,
+        form="_smooth",
     ),
     Effect(
         "lugre",
@@ -562,6 +580,21 @@ EFFECTS: tuple[Effect, ...] = (
         plant=InterfaceMass(),
     ),
     Effect(
+        "added_mass",
+        "robot",
+        "the interface is heavier than the twin's, and its weight hangs from the arm, in the neutral trial as well",
+        (
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
+        ),
+        "M",
+        _MASS,
+        scope="whole",
+        plant=HangingMass(chains.weight, ROBOT_JOINTS[3:4]),
+        form="hanging",
+        remedy="Push the arm's lift down by 9.81 m/s2 times the mass, which is part of this model",
+    ),
+    Effect(
         "base_compliance",
         "robot",
         "the base yields other than configured",
@@ -672,7 +705,19 @@ EFFECTS: tuple[Effect, ...] = (
         "turning in place",
         scope="whole",
         plant=PlannedForce(chains.tilt, ROBOT_JOINTS[:2]),
-        remedy="Add to base_x and base_y a constant force: slope times 9.81 m/s2 times the robot's mass",
+        remedy=_SLOPING_FLOOR,
+    ),
+    Effect(
+        "tilt",
+        "robot",
+        "gravity has a component along the floor, and had it in the neutral trial, where it stretched the strap",
+        tuple(EffectParameter(f"slope_{axis}", "rad", -0.1, 0.1, (0.003,)) for axis in "xy"),
+        "S",
+        "turning in place",
+        scope="whole",
+        plant=StandingForce(chains.tilt, ROBOT_JOINTS[:2]),
+        form="always",
+        remedy=_SLOPING_FLOOR,
     ),
     Effect(
         "soft_tissue",
@@ -801,6 +846,21 @@ EFFECTS: tuple[Effect, ...] = (
             " pose of this model are the true ones; its sites are the joint centres, not the markers"
         ),
     ),
+    Effect(
+        "marker_offset",
+        "output",
+        "a marker was taped anew after the neutral trial, off where it was, fixed in the interface",
+        tuple(_linear(f"{side}_{c}", "m", 0.03, 0.15) for side in ("left", "right") for c in "xyz"),
+        "S",
+        "static poses at several headings",
+        scope="whole",
+        sighting=Retaped(),
+        form="retaped",
+        remedy=(
+            "Take from each interface marker its offset, turned with the interface, in all trials but neutral, and"
+            " ingest anew. The start pose of this model is the true one; its sites are where the markers were in it"
+        ),
+    ),
     *(
         Effect(
             "marker_drift",
@@ -815,6 +875,21 @@ EFFECTS: tuple[Effect, ...] = (
             form=f"{side}",
         )
         for index, side in enumerate(("left", "right"))
+    ),
+    *(
+        Effect(
+            "marker_drift",
+            "output",
+            f"the pelvis marker {marker} slides: steadily, and at a rate that fades over a third of the trial",
+            tuple(_linear(f"{kind}_{c}", "m/s", 0.002, 0.02) for kind in ("steady", "fading") for c in "xyz"),
+            "Dft",
+            "distance between markers at the start and at the end",
+            scope="whole",
+            input_chain=chains.sliding_marker(index),
+            remedy=f"Ingest the pelvis anew without {marker}, or with its way over the bone taken from it",
+            form=marker.lower(),
+        )
+        for index, marker in enumerate(PELVIS_MARKERS)
     ),
     Effect(
         "outliers",

@@ -97,6 +97,8 @@ def _actuators(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         actuator = spec.actuator(model.actuator(index).name)
         for name in ("gainprm", "biasprm", "dynprm"):
             setattr(actuator, name, getattr(model, f"actuator_{name}")[index])
+        if model.actuator_forcelimited[index]:
+            actuator.forcerange = model.actuator_forcerange[index]
 
 
 # Fields of a compiled model that effects and strap parameters change, and what writes them into the description
@@ -125,7 +127,9 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
     **dict.fromkeys(("body_mass", "body_inertia", "body_ipos"), _bodies),
     "body_quat": _turns,
     "site_pos": _sites,
-    **dict.fromkeys(("actuator_gainprm", "actuator_biasprm", "actuator_dynprm"), _actuators),
+    **dict.fromkeys(
+        ("actuator_gainprm", "actuator_biasprm", "actuator_dynprm", "actuator_forcerange"), _actuators
+    ),
 }
 # What the compiler makes of other fields, at the reference pose: it is made again when the text is loaded
 _DERIVED = (
@@ -290,6 +294,8 @@ def _exact(root: ET.Element, spec: mujoco.MjSpec) -> None:
         actuator = spec.actuator(element.get("name"))
         for name in ("gainprm", "biasprm", "dynprm"):
             _set(element, name, getattr(actuator, name))
+        if element.get("forcerange") is not None:
+            _set(element, "forcerange", actuator.forcerange)
     for element in root.iterfind("keyframe/key"):
         key = spec.key(element.get("name"))
         for name in ("qpos", "qvel", "ctrl"):

@@ -99,6 +99,10 @@ class Fields:
         """Stiffness that the time step bears on a strap axis."""
         return float(0.5 * self.scales.inertia[axis] / self.model.opt.timestep**2)
 
+    def hardest(self, axis: int) -> float:
+        """Damping that the time step bears on a strap axis where it is not part of MuJoCo's implicit damping."""
+        return float(0.5 * self.scales.inertia[axis] / self.model.opt.timestep)
+
 
 def _tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes) -> None:
     tendon = spec.add_tendon(name=name, **attributes)
@@ -284,6 +288,50 @@ class DryFriction:
     def set(self, fields, where, parameters, values):
         """Write the force."""
         fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
+
+
+class SmoothFriction:
+    """Friction that fades towards standstill, f tanh(qdot / rate): values (m, 2) are force and rate.
+
+    Dampers that saturate, whose sum runs along the tangent hyperbolic: it creeps where dry friction holds.
+    """
+
+    _parts = 3
+
+    def __init__(self):
+        # the curve's slope falls from 1 in equal shares, one wherever a damper saturates; all together make 1
+        rates = np.arctanh(np.sqrt((np.arange(self._parts) + 0.5) / self._parts))
+        self._weights = rates / rates.sum()
+        self._rates = self._weights * self._parts
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"smooth_{i}_{where.element}" for i in range(self._parts)]
+
+    def build(self, spec, where):
+        """Actuators without a command that brake up to a force."""
+        for name in self._names(where):
+            actuator = spec.add_actuator(
+                name=name,
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                target=STRAP_JOINTS[where.axes[0]],
+                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+                forcerange=[-1, 1],
+            )
+            actuator.gainprm = [0] * 10
+
+    def set(self, fields, where, parameters, values):
+        """Slope and limit of each damper, the slopes held to what the time step bears together."""
+        force, rate = values.T
+        limit = force[:, None] * self._weights
+        slope = limit / (rate[:, None] * self._rates)
+        most = fields.hardest(where.axes[0])
+        slope *= np.minimum(1, most / slope.sum(axis=1, keepdims=True))
+        for i, name in enumerate(self._names(where)):
+            index = fields.model.actuator(name).id
+            fields["actuator_biasprm"][:, index, 2] = -slope[:, i]
+            fields["actuator_forcerange"][:, index] = np.stack([-limit[:, i], limit[:, i]], axis=1)
 
 
 class Bristles:
@@ -477,12 +525,17 @@ class RestShift:
 
     def set(self, fields, where, parameters, values):
         """Spring reference of the joint, and lengths at which tendons over it are slack or stop."""
-        joint = fields.model.joint(STRAP_JOINTS[where.axes[0]])
-        fields["qpos_spring"][:, joint.qposadr[0]] = values[:, 0]
-        for index, coefficient in _tendons_over(fields.model, joint.id):
-            fields["tendon_lengthspring"][:, index] += coefficient * values
-            if fields.model.tendon_limited[index]:
-                fields["tendon_range"][:, index] += coefficient * values
+        rest_moved(fields, where.axes[0], values[:, 0])
+
+
+def rest_moved(fields: Fields, axis: int, by: np.ndarray) -> None:
+    """Move the rest of a strap axis by (m,) [m, rad]: its spring, and where tendons over it are slack or stop."""
+    joint = fields.model.joint(STRAP_JOINTS[axis])
+    fields["qpos_spring"][:, joint.qposadr[0]] += by
+    for index, coefficient in _tendons_over(fields.model, joint.id):
+        fields["tendon_lengthspring"][:, index] += coefficient * by[:, None]
+        if fields.model.tendon_limited[index]:
+            fields["tendon_range"][:, index] += coefficient * by[:, None]
 
 
 def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:
@@ -715,6 +768,25 @@ class PlannedForce(DrivenForce):
     def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
         super().__init__(joints)
         self.force = force
+
+
+class StandingForce(PlannedForce):
+    """A steady force on the robot that has pulled in the neutral trial too, where the strap's rest pose was taken.
+
+    The strap then rests elsewhere than it was seen to: by what the force stretched it (`EffectReplay`).
+    """
+
+
+class HangingMass(StandingForce):
+    """`InterfaceMass` whose weight nothing balances: it hangs from the arm, in the neutral trial as well."""
+
+    def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...]):
+        super().__init__(force, joints)
+        self._mass = InterfaceMass()
+
+    def set(self, fields, where, parameters, values):
+        """Add to the body."""
+        self._mass.set(fields, where, parameters, values)
 
 
 class AnsweringForce(DrivenForce):

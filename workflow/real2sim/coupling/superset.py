@@ -23,8 +23,10 @@ from real2sim.coupling.mechanisms import (
     PlannedForce,
     RestShift,
     Scales,
+    StandingForce,
     Stop,
     YieldBeyondWheels,
+    rest_moved,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, Simulated, StartPose, servo_command
@@ -102,7 +104,10 @@ class EffectReplay(Replay):
         self._stopped = any(isinstance(placed.effect.plant, Stop) for placed in self.effects)
         # a strap that rests elsewhere takes its other laws along: it is set last
         rests = [isinstance(placed.effect.plant, RestShift) for placed in self.effects]
-        self._shifted = any(rests)
+        self._standing = [
+            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, StandingForce)
+        ]
+        self._shifted = any(rests) or bool(self._standing)
         self._order = sorted(range(len(rests)), key=lambda i: rests[i])
         self._answering = [
             i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, AnsweringForce)
@@ -307,9 +312,11 @@ class EffectReplay(Replay):
             self._armature[:m, others] = self.model.dof_armature[others]
         if self._sightings:
             self._set_up(m)
-        if self._shifted and self.model.ntendon:
-            # the lengths of the last call are shifted already, and effects write only what they change
-            for name in ("tendon_lengthspring", "tendon_range"):
+        if self._shifted:
+            # the rest of the last call is moved already, and effects write only what they change
+            strap = self.model.jnt_qposadr[self._joints]
+            fields["qpos_spring"][:, strap] = self.model.qpos_spring[strap]
+            for name in ("tendon_lengthspring", "tendon_range") if self.model.ntendon else ():
                 fields[name][:] = getattr(self.model, name)
         for i in self._order:
             placed, values = self.effects[i], self._values[i]
@@ -317,6 +324,12 @@ class EffectReplay(Replay):
                 placed.effect.plant.set(fields, placed.where, self._parameters, values)
             if i in self._basis or i in self._columns_of:
                 self._add_control(i, placed, values, m)
+        # a robot at rest has balanced what pulls, in the neutral trial as well
+        if self._standing and not self._settled:
+            self._stretch_at_rest(fields, m)
+        if self._shifted and self.model.tendon_springyield.any():
+            # MuJoCo's reset lets what yields begin where the springs rest, which was another place before
+            self._reset_to(self._state(m))
         if self._frictional:
             # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
             # friction holds would creep by what is missing. As an inertia proper the same motion is held.
@@ -341,12 +354,11 @@ class EffectReplay(Replay):
             answers = self._begin(before)
             if self._settled:
                 self._settle(fields, m)
-            state = [self._batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+            state = self._state(m)
             pull = self._roll_windows(answers, last, m)
             before = pull[:, :start].mean(axis=1)
             if last < self.nstep:
-                self._batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
-                self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+                self._reset_to(state)
         return self._without_failed(m)
 
     def _pull_while_standing(self, m: int) -> np.ndarray:
@@ -414,7 +426,7 @@ class EffectReplay(Replay):
         """
         model, batch = self.model, self._batch
         joints, adr, dofs = self._chain
-        position, velocity = (batch.bind(name)[:m].copy() for name in ("qpos", "qvel"))
+        position, velocity = self._state(m)
         for placed in self.effects:
             if isinstance(placed.effect.plant, Maxwell):
                 placed.effect.plant.relax(fields, placed.where, position)
@@ -434,9 +446,38 @@ class EffectReplay(Replay):
             pulled = force[k, dofs] + follow.T @ force[k, self._dofs]
             springs[k, adr] -= np.where(stiffness[k] > 0, pulled / np.maximum(stiffness[k], 1e-9), 0.0)
         springs[:, model.jnt_qposadr[self._robot_joints]] += self._beside[:m]
-        batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
-        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, velocity
+        self._reset_to([position, velocity])
         self._began_at = position[0]
+
+    def _stretch_at_rest(self, fields: Fields, m: int) -> None:
+        """Let the strap rest elsewhere by what standing forces stretched its springs when its rest pose was taken.
+
+        The robot was let go in the neutral trial as in this one, and came to where springs of robot and strap hold the
+        force. Small displacements; the strap's other laws are taken to be quiet about its rest.
+        """
+        model, context = self.model, self._context
+        robot = model.jnt_dofadr[self._robot_joints]
+        held = fields["jnt_stiffness"][:, self._robot_joints]
+        # the robot stood by the pelvis as it does now, which looked elsewhere
+        heading = context.pelvis_rotation[0] @ context.neutral_rotation.T
+        position = np.atleast_2d(self._starts(m)[0])
+        given = self._jacobian(model, position[0])
+        follow = -np.linalg.solve(given[:, self._dofs], given[:, robot])
+        force = np.zeros((m, model.nv))
+        for i in self._standing:
+            plant, columns = self.effects[i].effect.plant, self._columns_of[i]
+            assert isinstance(plant, StandingForce)
+            driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+            planned = plant.force(self._values[i], context, self.effects[i].where, self._parameters[:m])
+            force[:, driven] += planned[:, 0]
+        pulled = force[:, robot]
+        pulled[:, :2] = pulled[:, :2] @ heading[:2, :2].T
+        stiffness = held[:, :, None] * np.eye(len(robot)) + np.einsum(
+            "ai,ma,aj->mij", follow, self._parameters[:m, :6], follow
+        )
+        stretch = np.linalg.solve(stiffness, pulled[..., None])[..., 0] @ follow.T
+        for axis in range(len(self._dofs)):
+            rest_moved(fields, axis, -stretch[:, axis])
 
     def as_simulated(self) -> Simulated:
         """As of `Replay`; what relaxes starts where it has done so."""
@@ -465,12 +506,21 @@ class EffectReplay(Replay):
         mujoco.mj_jacSite(model, data, out[:3], out[3:], model.site("pelvis").id)
         return out
 
+    def _state(self, m: int) -> list[np.ndarray]:
+        """Joint positions and rates of m simulations, (m, nq) and (m, nv)."""
+        return [self._batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+
+    def _reset_to(self, state: list[np.ndarray]) -> None:
+        """Reset the first simulations to joint positions and rates."""
+        m = len(state[0])
+        self._batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+
     def _weigh(self, m: int) -> None:
         """Let a stop know the inertia that comes against it with these dampers."""
-        batch = self._batch
-        state = [batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
-        batch.set_const(np.arange(m))
-        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = state
+        state = self._state(m)
+        self._batch.set_const(np.arange(m))
+        self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
 
     def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:
         # controls start anew at every call: the first effect that adds to them restores the plain command

@@ -36,6 +36,7 @@ from real2sim.coupling.plant import (
     load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
+from real2sim.diagnosis.start import at_first, moved_to_first
 from real2sim.geometry import (
     AXES,
     INTERFACE_MARKERS,
@@ -129,6 +130,7 @@ class Evidence:
     paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
+    ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`).
     ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
     ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`. What input
     chains and noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths,
@@ -150,6 +152,7 @@ class Evidence:
     robot_sd: np.ndarray
     rest_sd: np.ndarray
     hold_sd: np.ndarray
+    let_go: np.ndarray
     pelvis_cutoff_hz: float
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
@@ -333,7 +336,8 @@ class Evidence:
         assert self.holds is not None
         for poses in (self.rests, self.holds):
             error = error + np.tensordot(rng.standard_normal((draws, len(poses))), poses, axes=1)
-        error = error + np.tensordot(self._misjudged(markers), self.starts, axes=1)
+        misjudged = self._misjudged(markers) + rng.standard_normal((draws, len(self.let_go))) @ self.let_go
+        error = error + np.tensordot(misjudged, self.starts, axes=1)
         return self._without_gaps(error)
 
     def _misjudged(self, markers: np.ndarray) -> np.ndarray:
@@ -500,9 +504,14 @@ def smoothed_pelvis(
 def _rigid_markers(trial: Trial) -> np.ndarray:
     """Pelvis markers (4, n, 3) [m, world] as a rigid body on the measured pose: there also where one was lost."""
     rotation, position = trial.pelvis_rotation, trial.pelvis_position
-    local = np.einsum("nji,nkj->nki", rotation, trial.pelvis_markers - position[:, None])
-    shape = np.nanmean(local, axis=0)
-    return np.moveaxis(position[:, None] + np.einsum("nij,kj->nki", rotation, shape), 1, 0)
+    seen = position[:, None] + np.einsum("nij,kj->nki", rotation, _pelvis_shape(trial))
+    return np.moveaxis(seen, 1, 0)
+
+
+def _pelvis_shape(trial: Trial) -> np.ndarray:
+    """Where the pelvis' markers are on it on average, (4, 3) [m]."""
+    rotation, away = trial.pelvis_rotation, trial.pelvis_markers - trial.pelvis_position[:, None]
+    return np.asarray(np.nanmean(np.einsum("nji,nkj->nki", rotation, away), axis=0))
 
 
 def load_evidence(
@@ -540,6 +549,9 @@ def load_evidence(
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     colour = noise_colour(neutral / "markers.parquet", rate)
     log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
+    let_go = np.zeros((6, 6))
+    if measured is not None:
+        trial, let_go = moved_to_first(trial, robot, *at_first(measured, start, rate, log_sd))
     twin = load_robot(robot).compile()
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
@@ -556,6 +568,7 @@ def load_evidence(
         signals.lowpass(q, rate, cutoff, 4),
         signals.lowpass(qd, rate, cutoff, 4),
         *_mean_pelvis(neutral),
+        _pelvis_shape(trial),
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
@@ -567,7 +580,7 @@ def load_evidence(
     of_poses = rest_uncertainty(standing, rate), hold_uncertainty(standing, rate, twin, held)
     of_channels = (sd, colour, log_sd, *of_poses)
     return Evidence(
-        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, cutoff
+        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, let_go, cutoff
     )
 
 

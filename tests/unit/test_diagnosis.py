@@ -96,6 +96,7 @@ LEVEL = np.eye(3), np.array([0.0, 0.0, 0.95])
 # Searched numbers at which an effect does nothing
 NEUTRAL = {
     "stiffening": [0.0],
+    "stiffening _exponential": [20.0, 0.5],
     "asymmetric_stiffness": [0.0],
     "coulomb": [-20.0],
     "cross_coupling": [0.0],
@@ -112,6 +113,7 @@ NEUTRAL = {
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
     "added_mass hanging": [0.0, 0.0],
     "coulomb _smooth": [-20.0, 0.0],
+    "coulomb _uneven": [-20.0, 0.0],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
     "lab_yaw": [0.0],

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import SmoothFriction
-from real2sim.coupling.plant import RestPose, interface_pose_at, load_robot, robot_pose_for
+from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from scipy.spatial.transform import Rotation
@@ -134,6 +135,24 @@ def test_what_yields_begins_where_a_strap_rests_that_rests_elsewhere(first):
     x = [e.starts()[:1] for e in effects]
     one, other = (model.run_effects(PRIOR[None], x)[0] for _ in range(2))
     np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("toe", "law"), [(0.0, np.sinh), (1.0, np.expm1)])
+def test_an_exponential_spring_is_one(toe, law):
+    """The force that MuJoCo makes of its elements, by a strap that is held off its rest."""
+    effect, length = placed("stiffening", "_exponential"), 0.01
+    x = np.array([[np.log(length / effect.values(np.zeros((1, 2)))[0, 0]), toe]])
+    model = replay([effect])
+    model.run_effects(PRIOR[None], [x])
+    plant = model.as_simulated().model
+    data, joint = mujoco.MjData(plant), plant.joint(STRAP_JOINTS[0])
+    for u in (-5.0, -2.0, -0.7, 0.3, 1.5, 4.0):
+        data.qpos[joint.qposadr] = u * length
+        mujoco.mj_forward(plant, data)
+        expected = -PRIOR[0] * length * np.sign(u) * law(abs(u))
+        assert data.qfrc_passive[joint.dofadr[0]] == pytest.approx(
+            expected, rel=0.01, abs=0.035 * PRIOR[0] * length
+        )
 
 
 def test_smooth_friction_runs_along_the_tangent_hyperbolic():

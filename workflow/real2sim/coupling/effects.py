@@ -27,6 +27,7 @@ from real2sim.coupling.mechanisms import (
     DryFriction,
     Elastoplastic,
     EvenSpring,
+    ExponentialSpring,
     GentleStop,
     HangingMass,
     InterfaceMass,
@@ -48,6 +49,7 @@ from real2sim.coupling.mechanisms import (
     TurnedAxes,
     TurnedBack,
     TurnedLaw,
+    UnevenFriction,
     Where,
     YieldBeyondWheels,
 )
@@ -292,6 +294,19 @@ EFFECTS: tuple[Effect, ...] = (
         plant=Polynomial("jnt_stiffnesspoly", 1),
     ),
     Effect(
+        "stiffening",
+        "interface",
+        "F = k L ((1 - toe) sinh(|q| / L) + toe (exp(|q| / L) - 1)) sgn q",
+        (
+            EffectParameter("length", "m|rad", 0.12, 5.0, (0.4, 1.0), _q, log=True),
+            EffectParameter("toe", "1", 0.0, 1.0, (0.3,)),
+        ),
+        "A",
+        _LADDER,
+        plant=ExponentialSpring(),
+        form="_exponential",
+    ),
+    Effect(
         "asymmetric_stiffness",
         "interface",
         "F = k (1 + b sgn(q)) q",
@@ -327,6 +342,16 @@ EFFECTS: tuple[Effect, ...] = (
         "V",
         "slow ramps and reversals at several speeds",
         plant=DryFriction(),
+    ),
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc (1 + uneven sgn(qdot)) sgn(qdot)",
+        (_FRICTION, EffectParameter("uneven", "1", -0.95, 0.95, (0.0,))),
+        "V",
+        "slow ramps and reversals at several speeds",
+        plant=UnevenFriction(),
+        form="_uneven",
     ),
     Effect(
         "coulomb",

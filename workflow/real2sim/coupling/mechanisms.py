@@ -16,6 +16,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from real2sim.coupling.answers import Law
@@ -203,6 +204,50 @@ class Polynomial:
         fields[self._name][:, index, self._term] = values[:, 0]
 
 
+class ExponentialSpring:
+    """The axis' spring stiffens exponentially, values (m, 2): a length, and how much of it begins as a toe.
+
+    Between k L sinh(q / L), of which the beginning is linear, and k L (exp(|q| / L) - 1) sgn q, which bends at once.
+    Each is a cubic spring and springs with dead bands, linear and cubic beyond them, to 1 % of the force and 0.03 k L
+    up to 6 L.
+    """
+
+    _KNOTS = np.array([0.15, 0.5, 1.0, 2.0, 3.2, 4.5])
+
+    def __init__(self):
+        reach = np.linspace(0, 6, 601)[1:]
+        beyond = np.maximum(reach[:, None] - self._KNOTS, 0)
+        springs = np.column_stack([reach**3, beyond, beyond**3])
+        self._shares = np.array(
+            [
+                nnls(springs / (law + reach)[:, None], law / (law + reach))[0]
+                for law in (np.sinh(reach) - reach, np.expm1(reach) - reach)
+            ]
+        )
+
+    def build(self, spec, where):
+        """A fixed tendon over the strap joint for each dead band."""
+        joint = STRAP_JOINTS[where.axes[0]]
+        for i in range(len(self._KNOTS)):
+            name = f"steeper{i}_{where.element}"
+            _tendon(spec, name, {joint: 1.0}, stiffness=[1, 0, 1], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """The joint's cubic term, dead bands and both terms of the tendons."""
+        axis, n = where.axes[0], len(self._KNOTS)
+        length, toe = values.T
+        shares = (1 - toe)[:, None] * self._shares[0] + toe[:, None] * self._shares[1]
+        cubic, linear, beyond = np.split(shares, [1, 1 + n], axis=1)
+        stiffness = parameters[:, axis]
+        third = stiffness / length**2
+        fields["jnt_stiffnesspoly"][:, fields.joint(axis), 1] = third * cubic[:, 0]
+        for i, knot in enumerate(self._KNOTS):
+            index = fields.tendon(f"steeper{i}_{where.element}")
+            fields["tendon_lengthspring"][:, index] = knot * np.stack([-length, length], axis=1)
+            fields["tendon_stiffness"][:, index] = stiffness * linear[:, i]
+            fields["tendon_stiffnesspoly"][:, index, 1] = third * beyond[:, i]
+
+
 class EvenSpring:
     """A quadratic term of the axis' spring, which goes straight on beyond a coordinate: values are both, (m, 2).
 
@@ -290,6 +335,37 @@ class DryFriction:
         fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
 
 
+class UnevenFriction(DryFriction):
+    """Dry friction that differs by direction: values (m, 2) are its mean and how much more of it resists upward motion.
+
+    It is even friction beside a constant force, moving and sticking.
+    """
+
+    def build(self, spec, where):
+        """Friction of the joint, and an actuator without a command."""
+        super().build(spec, where)
+        _without_command(spec, f"uneven_{where.element}", where)
+
+    def set(self, fields, where, parameters, values):
+        """Even friction, and the force."""
+        super().set(fields, where, parameters, values)
+        index = fields.model.actuator(f"uneven_{where.element}").id
+        fields["actuator_biasprm"][:, index, 0] = -values[:, 0] * values[:, 1]
+
+
+def _without_command(spec: mujoco.MjSpec, name: str, where: Where, **attributes) -> None:
+    """An actuator of the axis whose force depends on nothing but the joint."""
+    actuator = spec.add_actuator(
+        name=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=STRAP_JOINTS[where.axes[0]],
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        **attributes,
+    )
+    actuator.gainprm = [0] * 10
+
+
 class SmoothFriction:
     """Friction that fades towards standstill, f tanh(qdot / rate): values (m, 2) are force and rate.
 
@@ -310,16 +386,8 @@ class SmoothFriction:
     def build(self, spec, where):
         """Actuators without a command that brake up to a force."""
         for name in self._names(where):
-            actuator = spec.add_actuator(
-                name=name,
-                trntype=mujoco.mjtTrn.mjTRN_JOINT,
-                target=STRAP_JOINTS[where.axes[0]],
-                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-                forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-                forcerange=[-1, 1],
-            )
-            actuator.gainprm = [0] * 10
+            limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            _without_command(spec, name, where, forcelimited=limited, forcerange=[-1, 1])
 
     def set(self, fields, where, parameters, values):
         """Slope and limit of each damper, the slopes held to what the time step bears together."""

@@ -116,6 +116,7 @@ NEUTRAL = {
     "coulomb _uneven": [-20.0, 0.0],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
+    "soft_tissue wobble": [0.0] * 20,
     "lab_yaw": [0.0],
     "replay_lag": [0.0],
     "sync_offset": [0.0],
@@ -808,6 +809,20 @@ def test_one_cause_that_explains_most_is_named_and_several_that_explain_as_littl
         Candidate((name,), 4, (49_000.0, 74_000.0)) for name in ("slack", "hysteresis", "tilt", "preload")
     ]
     assert decide(plain, more, (5000, 4400), CALIBRATION).probabilities[UNKNOWN] > 0.7
+
+
+def test_a_cause_that_leaves_nearly_half_of_the_gap_is_unknown_however_far_it_is_ahead():
+    """A hand on the robot, by somebody else: 18 numbers of a soft-tissue artefact took 54 % of it, 0.62."""
+    plain = Candidate((), 0, (141_812.0, 471_278.0))
+    other = Candidate(("cross_coupling",), 1, (138_439.0, 431_872.0))
+    half = decide(
+        plain, [Candidate(("soft_tissue",), 18, (113_068.0, 190_888.0)), other], (2880, 2880), CALIBRATION
+    )
+    assert half.verdict == UNKNOWN
+    most = decide(
+        plain, [Candidate(("soft_tissue",), 18, (18_000.0, 72_000.0)), other], (2880, 2880), CALIBRATION
+    )
+    assert most.verdict == "soft_tissue"
 
 
 def test_noise_that_is_a_little_louder_than_measured_is_no_unknown_cause():

@@ -7,12 +7,16 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import SmoothFriction
 from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
+from real2sim.diagnosis.evidence import _without_filled
 from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first
-from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
+from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
+from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
 from tests.unit.test_coupling import PRIOR, REST, ROBOT
@@ -26,6 +30,13 @@ TWIN = load_robot(ROBOT).compile()
 class Start:
     start_rotation: np.ndarray
     start_position: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seen:
+    time_s: np.ndarray
+    pelvis_rotation: np.ndarray
+    pelvis_position: np.ndarray
 
 
 def placed(name: str, form: str = "") -> Placed:
@@ -206,6 +217,40 @@ def test_a_pelvis_marker_that_slides_takes_the_pelvis_along(marker):
     found_rotation, found_position = chain(np.concatenate([steady, fading]), context)
     np.testing.assert_allclose(found_position, true_position, atol=5e-5)
     np.testing.assert_allclose(found_rotation, true_rotation, atol=5e-4)
+
+
+def test_a_wobbling_skin_gives_the_bone_back():
+    """Seen through a mass on a spring of 2.5 Hz, damped against the room: rate and acceleration undo it."""
+    chain = placed("soft_tissue", "wobble").effect.input_chain
+    time, w, damping = np.arange(600) / RATE, 2 * np.pi * 2.5, 0.2
+    rise = np.clip(time - 0.5, 0, 1) ** 2
+    bone = np.column_stack([0.1 * np.sin(2 * np.pi * 0.8 * time) * rise, 0 * time, 0.9 + 0 * time])
+    yaw = 0.3 * np.sin(2 * np.pi * 0.6 * time) * rise
+    seen = [lsim(([w * w], [1, 2 * damping * w, w * w]), x, time)[1] for x in (bone[:, 0], yaw)]
+    context = Seen(
+        time_s=time,
+        pelvis_rotation=Rotation.from_euler("z", seen[1][:, None]).as_matrix(),
+        pelvis_position=np.column_stack([seen[0], bone[:, 1:]]),
+    )
+    values = np.zeros(20)
+    values[18:] = 2 * damping / w, 1 / w**2
+    rotation, position = chain(values, context)
+    wrong = np.abs(context.pelvis_position - bone).max()
+    assert np.abs(position - bone).max() < 0.02 * wrong
+    turn = Rotation.from_matrix(rotation).as_rotvec()[:, 2]
+    assert np.abs(turn - yaw).max() < 0.02 * np.abs(seen[1] - yaw).max()
+
+
+def test_what_fills_a_gap_is_no_measurement(tmp_path):
+    n = 100
+    columns = {f"{m}_filled": np.zeros(n, bool) for m in INTERFACE_MARKERS}
+    columns[f"{INTERFACE_MARKERS[1]}_filled"][40:50] = True
+    pq.write_table(pa.table(columns), tmp_path / "markers.parquet")
+    seen = _without_filled(np.ones((n, 2, 3)), tmp_path / "markers.parquet", RATE)
+    assert np.isfinite(seen[:, 0]).all()
+    lost = np.flatnonzero(np.isnan(seen[:, 1, 0]))
+    # five hundredths of a second beyond both ends
+    assert (lost[0], lost[-1], len(lost)) == (35, 54, 20)
 
 
 def test_markers_taped_anew_leave_the_rest_pose_that_was_seen():

@@ -233,6 +233,22 @@ def soft_tissue(values, context):
     return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
 
 
+def wobbling_tissue(values, context):
+    """Path of the bone under skin that also rings, values (20,): those of `soft_tissue`, a lag [s], a mobility [s^2].
+
+    Skin on a spring and a damper follows the bone as a mass does: its own pose, plus its rate times the lag, plus its
+    acceleration times the mobility (one over the square of its angular frequency) is where it would be without mass.
+    """
+    start = context.pelvis_rotation[0]
+    turn = Rotation.from_matrix(start.T @ context.pelvis_rotation).as_rotvec()
+    path = CubicSpline(context.time_s, np.hstack([context.pelvis_position, turn]))
+    still = path(context.time_s[0], 1)
+    bone = path(context.time_s) + values[18] * (path(context.time_s, 1) - still)
+    bone += values[19] * path(context.time_s, 2)
+    rotation = start @ Rotation.from_rotvec(bone[:, 3:]).as_matrix()
+    return soft_tissue(values[:18], replace(context, pelvis_rotation=rotation, pelvis_position=bone[:, :3]))
+
+
 def sliding_marker(index: int):
     """Input chain of a pelvis marker (order of `PELVIS_MARKERS`) that slides over the bone, values (6,) [m/s, pelvis].
 

@@ -240,6 +240,16 @@ _FRICTION = EffectParameter("force", "N|Nm", 0.002, 15.0, (0.05, 0.3), _force, l
 
 _TURN = tuple(_linear(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz")
 
+_SKIN = (
+    *(_linear(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
+    *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 1.5) for a in "xyz" for b in "xyz"),
+)
+_BONE = (
+    "solve R = R0 R_z R_y R_x(v) exp(turn v) for the Cardan angles v, R its rotation and R0 that at the start (Newton,"
+    " with the slope 1 + turn); the bone is turned by B = R0 R_z R_y R_x(v), and its position is the pelvis' less"
+    " B (shift v)"
+)
+
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         "slack",
@@ -748,19 +758,31 @@ EFFECTS: tuple[Effect, ...] = (
         "soft_tissue",
         "input",
         "pelvis markers move over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the start",
-        (
-            *(_linear(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
-            *(_linear(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 1.5) for a in "xyz" for b in "xyz"),
-        ),
+        _SKIN,
         "V",
         "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
         scope="whole",
         input_chain=chains.soft_tissue,
-        remedy=(
-            "Correct the pelvis before it is replayed: solve R = R0 R_z R_y R_x(v) exp(turn v) for the Cardan angles v,"
-            " R its rotation and R0 that at the start (Newton, with the slope 1 + turn); the bone is turned by"
-            " B = R0 R_z R_y R_x(v), and its position is the pelvis' less B (shift v)"
+        remedy=f"Correct the pelvis before it is replayed: {_BONE}",
+    ),
+    Effect(
+        "soft_tissue",
+        "input",
+        "pelvis markers move over the bone in proportion to its Cardan angles, and follow it as masses on springs do",
+        (
+            *_SKIN,
+            _linear("lag", "s", 0.01, 0.1),
+            _linear("mobility", "s2", 0.003, 0.03),
         ),
+        "V",
+        "a marker cluster beside the pelvis markers, quiet standing and a passive pull",
+        scope="whole",
+        input_chain=chains.wobbling_tissue,
+        remedy=(
+            "Correct the pelvis before it is replayed: add to its pose the lag times its rate and the mobility times"
+            f" its acceleration, and then: {_BONE}"
+        ),
+        form="wobble",
     ),
     Effect(
         "lab_yaw",

@@ -29,7 +29,7 @@ GRANTED_SD = 2.0
 # ... and beside that, as a share of the expectation: the level of the noise itself is measured to about a twentieth
 GRANTED_SHARE = 0.1
 # However clearly one effect is ahead, this much counts as belonging to others
-LEAST_SCATTER = 0.05
+LEAST_SCATTER = 0.25
 
 
 @dataclass(frozen=True)

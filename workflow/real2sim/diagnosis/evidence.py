@@ -544,6 +544,7 @@ def load_evidence(
         settle_s=ident["settle_after_gap_s"],
     )
     rate = settings["ingest"]["rate_hz"]
+    trial = replace(trial, interface=_without_filled(trial.interface, folder / "markers.parquet", rate))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
@@ -582,6 +583,19 @@ def load_evidence(
     return Evidence(
         trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, let_go, cutoff
     )
+
+
+def _without_filled(interface: np.ndarray, markers: Path, rate_hz: float) -> np.ndarray:
+    """Interface markers (n, 2, 3) [m], unknown where a short gap was filled and as far as a filter carries that.
+
+    What fills a gap starts from noise at both ends, and with loud markers it was taken for a jump.
+    """
+    table, width = pq.read_table(markers), 2 * round(SPIKE_EDGE_S * rate_hz) + 1
+    out = interface.copy()
+    for m, name in enumerate(INTERFACE_MARKERS):
+        filled = table[f"{name}_filled"].to_numpy().astype(float)
+        out[np.convolve(filled, np.ones(width), "same") > 0.5, m] = np.nan
+    return out
 
 
 def _mean_pelvis(neutral: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -10,10 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.coupling.effects import EFFECTS, Placed
+from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import SmoothFriction
 from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from real2sim.diagnosis.evidence import _without_filled
+from real2sim.diagnosis.stage import _stages
 from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from scipy.signal import lsim
@@ -217,6 +218,19 @@ def test_a_pelvis_marker_that_slides_takes_the_pelvis_along(marker):
     found_rotation, found_position = chain(np.concatenate([steady, fading]), context)
     np.testing.assert_allclose(found_position, true_position, atol=5e-5)
     np.testing.assert_allclose(found_rotation, true_rotation, atol=5e-4)
+
+
+def test_a_stage_is_where_the_likeliest_form_acts():
+    """A sliding marker of the pelvis goes in, one of the interface comes out."""
+    slides = [placed("marker_drift", form) for form in ("left", "asis_r")]
+    attribution = SimpleNamespace(hypotheses=[SimpleNamespace(effects=(p,)) for p in slides])
+    probabilities = dict.fromkeys(EFFECT_NAMES, 0.0) | {"marker_drift": 0.9, "tilt": 0.1}
+    for sets, stage in (([0.7, 0.2], "output"), ([0.2, 0.7], "input")):
+        decision = SimpleNamespace(sets=np.array(sets), probabilities=probabilities)
+        stages = _stages(attribution, decision)
+        assert max(stages, key=lambda name: stages[name]) == stage
+        assert stages["robot"] == pytest.approx(0.1)
+        assert sum(stages.values()) == pytest.approx(1.0)
 
 
 def test_a_wobbling_skin_gives_the_bone_back():

@@ -926,7 +926,7 @@ EFFECTS: tuple[Effect, ...] = (
     *(
         Effect(
             "marker_drift",
-            "output",
+            "input",
             f"the pelvis marker {marker} slides: steadily, and at a rate that fades over a third of the trial",
             tuple(_linear(f"{kind}_{c}", "m/s", 0.002, 0.02) for kind in ("steady", "fading") for c in "xyz"),
             "Dft",

@@ -45,7 +45,6 @@ from real2sim.identification.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
 from real2sim.quality.verdict import refused_gates
 
-STAGE_OF = {effect.name: effect.stage for effect in EFFECTS}
 # Share of the floor below which J shows no gap that could be closed
 SMALLEST_GAP = 0.02
 # No ln-parameter is known better than this (SD): a plant with the step of the diagnosis errs as much, measured on the
@@ -359,10 +358,7 @@ def _answer(
     floor = float(draws.mean())
     base = float(shown.cost(paths["plain"][None]).total[0])
     ranked = _causes(pair, attribution, decision, paths["plain"], floor)
-    stages: dict[str, float] = {}
-    for name, probability in decision.probabilities.items():
-        if name in STAGE_OF:
-            stages[STAGE_OF[name]] = stages.get(STAGE_OF[name], 0.0) + probability
+    stages = _stages(attribution, decision)
     return {
         "noise_floor": {
             "J": floor,
@@ -400,6 +396,20 @@ def _answer(
             )
         },
     }
+
+
+def _stages(attribution: Attribution, decision: Decision) -> dict[str, float]:
+    """Probability of each stage: of its effects, each where its likeliest form and place act.
+
+    A marker that slides may be one of the pelvis, which goes in, or one of the interface, which comes out.
+    """
+    acts = {effect.name: effect.stage for effect in EFFECTS}
+    for index in np.argsort(decision.sets):
+        acts |= {p.effect.name: p.effect.stage for p in attribution.hypotheses[index].effects}
+    stages = dict.fromkeys((effect.stage for effect in EFFECTS), 0.0)
+    for name, stage in acts.items():
+        stages[stage] += decision.probabilities[name]
+    return stages
 
 
 def _parameter(name: str, base: float, fitted: float, known: dict[str, Any], named: bool) -> dict[str, Any]:

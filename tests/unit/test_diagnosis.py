@@ -116,7 +116,7 @@ NEUTRAL = {
     "coulomb _uneven": [-20.0, 0.0],
     "tilt": [0.0, 0.0],
     "soft_tissue": [0.0] * 18,
-    "soft_tissue wobble": [0.0] * 20,
+    "soft_tissue wobble": None,  # skin that rings is never absent
     "lab_yaw": [0.0],
     "replay_lag": [0.0],
     "sync_offset": [0.0],

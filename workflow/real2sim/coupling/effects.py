@@ -772,7 +772,8 @@ EFFECTS: tuple[Effect, ...] = (
         (
             *_SKIN,
             _linear("lag", "s", 0.01, 0.1),
-            _linear("mobility", "s2", 0.003, 0.03),
+            # skin rings at 1 to 4 Hz: what would ring faster is what the low-pass takes from the path
+            EffectParameter("mobility", "s2", 0.0016, 0.025, (0.004,)),
         ),
         "V",
         "a marker cluster beside the pelvis markers, quiet standing and a passive pull",

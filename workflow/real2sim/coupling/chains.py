@@ -250,19 +250,34 @@ def wobbling_tissue(values, context):
 
 
 def sliding_marker(index: int):
-    """Input chain of a pelvis marker (order of `PELVIS_MARKERS`) that slides over the bone, values (6,) [m/s, pelvis].
+    """Ways (n, 4, 3) [m, pelvis] of the pelvis' markers of which one (order of `PELVIS_MARKERS`) slides, values (6,).
 
-    The first three are steady rates, the last three are rates at the start that fade over a third of the trial.
+    The first three are steady rates [m/s], the last three are rates at the start that fade over a third of the trial.
     """
 
-    def bone(values, context):
+    def ways(values, context):
         t = context.time_s - context.time_s[0]
         fades = t[-1] / 3
-        way = t[:, None] * values[:3] + fades * (1 - np.exp(-t / fades))[:, None] * values[3:]
+        out = np.zeros((len(t), *context.pelvis_shape.shape))
+        out[:, index] = t[:, None] * values[:3] + fades * (1 - np.exp(-t / fades))[:, None] * values[3:]
+        return out
+
+    return ways
+
+
+def under_skin(ways):
+    """Input chain of markers that go ``ways`` (see `sliding_marker`) over the bone: the path of the bone."""
+
+    def bone(values, context):
         rotation, position = context.pelvis_rotation, context.pelvis_position
-        seen = position[:, None] + np.einsum("nij,kj->nki", rotation, context.pelvis_shape)
-        true = seen.copy()
-        true[:, index] -= np.einsum("nij,nj->ni", rotation, way)
+        shape = context.pelvis_shape
+        seen, true = (
+            position[:, None] + np.einsum("nij,nkj->nki", rotation, on_bone)
+            for on_bone in (
+                np.broadcast_to(shape, (len(position), *shape.shape)),
+                shape - ways(values, context),
+            )
+        )
         (r0, p0), (r1, p1) = (pelvis_frame(*np.moveaxis(markers, 1, 0)) for markers in (seen, true))
         return np.einsum("nij,nkj->nik", r1, r0) @ rotation, position + p1 - p0
 

@@ -90,8 +90,9 @@ class Effect:
     ``scope`` is "axis", "turn" (one of the rotations), "side" (axis and direction), "pair" (of axes) or "whole";
     ``forms`` names variants with other equations for the same name. ``input_chain`` maps values (p,) and context to a
     pelvis path; ``output_chain`` maps simulated paths (m, n, 2, 3), values (m, p) and context to paths; ``sighting``
-    sets the plant up otherwise and says what its markers show. ``remedy`` says what to do about an effect that cannot
-    be part of a model: chains and planned forces have one.
+    sets the plant up otherwise and says what its markers show; ``skin`` maps values (p,) and context to ways
+    (n, 4, 3) [m, pelvis] of the pelvis' markers over the bone, which the markers themselves may contradict.
+    ``remedy`` says what to do about an effect that cannot be part of a model: chains and planned forces have one.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Effect:
     input_chain: Callable[[np.ndarray, Context], tuple[np.ndarray, np.ndarray]] | None = None
     output_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
     sighting: Sighting | None = None
+    skin: Callable[[np.ndarray, Context], np.ndarray] | None = None
     form: str = ""
     replaces_spring: bool = False
     substeps: int = 1
@@ -933,7 +935,8 @@ EFFECTS: tuple[Effect, ...] = (
             "Dft",
             "distance between markers at the start and at the end",
             scope="whole",
-            input_chain=chains.sliding_marker(index),
+            input_chain=chains.under_skin(chains.sliding_marker(index)),
+            skin=chains.sliding_marker(index),
             remedy=f"Ingest the pelvis anew without {marker}, or with its way over the bone taken from it",
             form=marker.lower(),
         )

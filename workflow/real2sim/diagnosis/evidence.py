@@ -36,6 +36,7 @@ from real2sim.coupling.plant import (
     load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
+from real2sim.diagnosis.skin import Skin, skin_of
 from real2sim.diagnosis.start import at_first, moved_to_first
 from real2sim.geometry import (
     AXES,
@@ -130,7 +131,8 @@ class Evidence:
     paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
-    ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`).
+    ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
+    and ``skin`` what the pelvis' markers say of each other.
     ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
     ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`. What input
     chains and noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths,
@@ -154,6 +156,7 @@ class Evidence:
     hold_sd: np.ndarray
     let_go: np.ndarray
     pelvis_cutoff_hz: float
+    skin: Skin | None = None
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
     start_joints: np.ndarray | None = None
@@ -576,12 +579,14 @@ def load_evidence(
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones)
+    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape)
     standing = neutral / "pose.parquet"
     held = impedances(settings["robot"], "hold")
     of_poses = rest_uncertainty(standing, rate), hold_uncertainty(standing, rate, twin, held)
     of_channels = (sd, colour, log_sd, *of_poses)
+    last = let_go, cutoff, skin
     return Evidence(
-        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, let_go, cutoff
+        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, *last
     )
 
 

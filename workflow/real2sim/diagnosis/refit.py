@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from real2sim.coupling.effects import Placed
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.skin import Skin
 from real2sim.identification import least_squares
 from real2sim.identification.parameters import Bounds
 
@@ -85,9 +87,35 @@ class JointResiduals(least_squares.Residuals):
         return self._replay.run_effects(np.exp(z[:, :12]), split(self.effects, z[:, 12:]))
 
     def _some(self, z: np.ndarray) -> np.ndarray:
-        rows = self._evidence.whitened(*self._run(z))
-        held = np.isfinite(self.prior_sd)
-        return np.hstack([rows, (z - self.prior_mean)[:, held] / self.prior_sd[held]])
+        rows = [self._evidence.whitened(*self._run(z)), self._prior(z, slice(12))]
+        # effect by effect: what is added to a set adds its rows at the end
+        for placed, own, x in zip(self.effects, self._places, split(self.effects, z[:, 12:]), strict=True):
+            rows.append(self._prior(z, own))
+            skin, ways = self._ways(placed, x)
+            if skin is not None:
+                rows.append(np.array([skin.departures(way) for way in ways]))
+        return np.hstack(rows)
+
+    def _prior(self, z: np.ndarray, part: slice) -> np.ndarray:
+        """Rows (m, r) of those coordinates in a part that are held near something."""
+        held = np.isfinite(self.prior_sd[part])
+        return (z - self.prior_mean)[:, part][:, held] / self.prior_sd[part][held]
+
+    @property
+    def _places(self) -> list[slice]:
+        """Where each effect's numbers are in a point."""
+        ends = 12 + np.cumsum([0, *(len(placed.effect.parameters) for placed in self.effects)])
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+    def _ways(self, placed: Placed, x: np.ndarray) -> tuple[Skin | None, list[np.ndarray]]:
+        """What judges an effect's ways of the pelvis' markers, and the ways, a row of numbers (m, p) each.
+
+        None and no ways where the effect moves none, or the trial says nothing of them.
+        """
+        ways = placed.effect.skin
+        if ways is None or self._evidence.skin is None:
+            return None, []
+        return self._evidence.skin, [ways(values, self._evidence.context) for values in placed.values(x)]
 
     def paths(self, z: np.ndarray) -> np.ndarray:
         """Simulated interface markers (n, 2, 3) [m, world] at a point (12 + p,)."""
@@ -98,11 +126,19 @@ class JointResiduals(least_squares.Residuals):
         return self._evidence.raw(*self._run(z[None]))
 
     def judged(self, z: np.ndarray) -> tuple[float, float]:
-        """Sum of squares of the data's residuals alone, and J, at a point (12 + p,)."""
+        """Sum of squares of the data's residuals alone, and J, at a point (12 + p,).
+
+        Ways of the pelvis' markers that these do not show count as residuals too.
+        """
         self.evaluations += 1
         paths, joints = self._run(z[None])
         row = self._evidence.whitened(paths, joints)[0]
-        return float(row @ row), float(self._evidence.j(paths)[0])
+        chi2 = float(row @ row)
+        for placed, x in zip(self.effects, split(self.effects, z[None, 12:]), strict=True):
+            skin, ways = self._ways(placed, x)
+            if skin is not None:
+                chi2 += skin.against_it(ways[0])
+        return chi2, float(self._evidence.j(paths)[0])
 
 
 def _strap_prior(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:

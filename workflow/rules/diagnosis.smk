@@ -11,6 +11,8 @@ Steps:   fit the first dynamic trial, with and without every effect of the catal
 """
 
 DIAGNOSED = [name for name, person in PEOPLE.items() if len(person.trials_of("dynamic")) >= 2]
+# People at a time are faster than threads for one; where there are fewer people than cores, the rest of them helps
+DIAGNOSIS_THREADS = max(1, min(4, (workflow.cores or 1) // max(1, len(DIAGNOSED))))
 
 
 rule diagnosis:
@@ -44,7 +46,7 @@ rule diagnose:
         "logs/benchmarks/diagnosis/{subject}.tsv"
     conda:
         "../envs/real2sim.yaml"
-    threads: 1
+    threads: DIAGNOSIS_THREADS
     resources:
         mem_mb=1000,
         runtime=15,
@@ -59,6 +61,7 @@ rule diagnose:
         "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
         " --held-out {params.held_out:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
+        " --threads {threads}"
         " 2>&1 | tee {log:q}"
 
 

@@ -445,6 +445,8 @@ def attribute(
     quiet = calibration is not None and is_out_of_reach(plain.chi2, count, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     hypotheses = _other_forms(search, hypotheses, singles, plain)
+    if not quiet:
+        hypotheses = _other_laws(search, hypotheses, everything, settings)
     hypotheses[0] = _converged(search, plain, hypotheses[0], settings)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
@@ -569,6 +571,24 @@ def _other_forms(
         and _alike(best.effects[0], s.effects[0])
     ]
     return sorted([*found, *(_single(search, s, plain) for s in rest)], key=lambda h: sum(h.chi2))
+
+
+def _other_laws(
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict
+) -> list[Hypothesis]:
+    """Single effects, and on the axis of the best the laws it is mistaken for that the tangent promised nothing of.
+
+    Dry friction that never slips has no slope to be found by, and did not stand beside the relaxation it looks like.
+    """
+    best = found[0]
+    if len(best.effects[0].where.axes) != 1:
+        return found
+    known = {_keys(h.effects) for h in found}
+    rivals = [p for p in places if _rivals(best.effects[0], p) and _same_place(best.effects[0], p)]
+    starts = [((p,), *search.fresh((p,), best.z[:12])) for p in rivals if _keys((p,)) not in known]
+    starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
+    tried = [search.fit(effects, z) for effects, z, _ in starts]
+    return sorted([*found, *tried], key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:

@@ -134,9 +134,9 @@ class Evidence:
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
     and ``skin`` what the pelvis' markers say of each other.
     ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
-    ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`. What input
-    chains and noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths,
-    ``commands`` of a time step; so are ``start_joints``.
+    ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`; ``threads``
+    step its simulations, see `Replay`. What input chains and noise make of the pelvis' path is kept for the
+    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
     """
 
     trial: Trial
@@ -164,6 +164,7 @@ class Evidence:
     starts: np.ndarray | None = None
     holds: np.ndarray | None = None
     settled: bool = False
+    threads: int = 1
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
@@ -201,6 +202,7 @@ class Evidence:
             bases=self.bases,
             settled=self.settled,
             start_joints=self.start_joints,
+            threads=self.threads,
         )
         self.start_joints = replay.start_joints
         return replay

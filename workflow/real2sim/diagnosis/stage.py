@@ -78,11 +78,12 @@ def prepare(
     robot: Path,
     settings: dict,
     settled: bool = False,
+    threads: int = 1,
 ) -> tuple[Pair, np.ndarray]:
     """Evidence of both trials, whitened, and the plain fit (12,) of the training trial in ln-parameters.
 
     The noise is simulated at a fit of J, and once more at the fit that it whitens. ``train``, ``held_out`` and
-    ``neutral`` are folders of canonical tables; ``settled``: see `Evidence`.
+    ``neutral`` are folders of canonical tables; ``settled``, ``threads``: see `Evidence`.
     """
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     options = settings["diagnosis"]
@@ -93,7 +94,7 @@ def prepare(
         for f in folders
     ]
     for item in evidence:
-        item.settled = settled
+        item.settled, item.threads = settled, threads
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
@@ -224,6 +225,7 @@ def diagnose(
     step: Path | None = None,
     gates: list[Path] | None = None,
     traces: Path | None = None,
+    threads: int = 1,
 ) -> None:
     """Where the gap lies, which effect causes it, how far it shrinks; written as diagnosis.json.
 
@@ -241,6 +243,8 @@ def diagnose(
     traces
         Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
         with effect.
+    threads
+        That simulate. The answer is the same bits with any number.
 
     Where the trials look as if the robot had been at rest (`looks_settled`), that is searched too, and the answer taken
     that leaves less for its price.
@@ -258,6 +262,7 @@ def diagnose(
         limits=limits,
         robot=robot,
         settings=settings,
+        threads=threads,
         options=options,
         progress=progress,
     )

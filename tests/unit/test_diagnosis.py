@@ -113,6 +113,7 @@ NEUTRAL = {
     "controller_reaction": [0.0, 0.1, 0.1],
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
     "added_mass hanging": [0.0, 0.0],
+    "added_mass off_centre": [0.0] * 6,
     "coulomb _smooth": [-20.0, 0.0],
     "coulomb _uneven": [-20.0, 0.0],
     "tilt": [0.0, 0.0],
@@ -171,6 +172,7 @@ def replay(
         np.eye(3),
         position[0] + neutral_at,
         PELVIS_SHAPE,
+        np.array([0.12, 0.0, 0.0]),
     )
     return EffectReplay(
         effects=effects,

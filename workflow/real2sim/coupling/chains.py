@@ -26,7 +26,8 @@ class Context:
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
     ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken;
-    ``pelvis_shape`` (4, 3) where the pelvis' markers are on it [m].
+    ``pelvis_shape`` (4, 3) where the pelvis' markers are on it [m]; ``on_arm`` (3,) where the interface is on the
+    robot's arm, whose roll and pitch it turns with [m].
     """
 
     time_s: np.ndarray
@@ -43,6 +44,7 @@ class Context:
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
     pelvis_shape: np.ndarray
+    on_arm: np.ndarray
 
 
 # ---------------------------------------------------------------- how the interface was seen
@@ -357,6 +359,14 @@ def tilt(values, context, where, parameters):
 def weight(values, context, where, parameters):
     """Forces (m, steps, 1) [N] on the lift of masses, the first of values (m, p) [kg]."""
     return np.repeat(-9.81 * values[:, :1, None], len(context.step_time_s), axis=1)
+
+
+def moments(values, context, where, parameters):
+    """Forces (m, steps, 3) [N, Nm] on lift, roll and pitch of parts, values (m, 6) of `OffCentreMass`."""
+    mass, _, x, y, _, unbalanced = values.T
+    # the arm turns about its own origin
+    pull = 9.81 * np.stack([-unbalanced, -y - context.on_arm[1] * mass, x + context.on_arm[0] * mass], axis=1)
+    return np.repeat(pull[:, None], len(context.step_time_s), axis=1)
 
 
 def ratchet(values, context, where, parameters):

@@ -33,6 +33,7 @@ from real2sim.coupling.mechanisms import (
     InterfaceMass,
     Maxwell,
     Mechanism,
+    OffCentreMass,
     OneSided,
     PlannedForce,
     Polynomial,
@@ -630,6 +631,27 @@ EFFECTS: tuple[Effect, ...] = (
         plant=HangingMass(chains.weight, ROBOT_JOINTS[3:4]),
         form="hanging",
         remedy="Push the arm's lift down by 9.81 m/s2 times the mass, which is part of this model",
+    ),
+    Effect(
+        "added_mass",
+        "robot",
+        "a part sits on the interface off its centre, in the neutral trial as well: the lift balances some of its"
+        " weight, nothing its moments",
+        (
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
+            *(EffectParameter(f"moment_{c}", "kgm", -3.0, 3.0, (0.0,)) for c in "xyz"),
+            EffectParameter("unbalanced", "kg", -2.0, 40.0, (0.0,)),
+        ),
+        "M",
+        _MASS,
+        scope="whole",
+        plant=OffCentreMass(chains.moments, ROBOT_JOINTS[3:]),
+        form="off_centre",
+        remedy=(
+            "Push the arm's lift down by 9.81 m/s2 times the unbalanced mass, and turn its roll and pitch by 9.81 m/s2"
+            " times the mass' moments about the arm"
+        ),
     ),
     Effect(
         "base_compliance",

@@ -133,6 +133,7 @@ _WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
 }
 # What the compiler makes of other fields, at the reference pose: it is made again when the text is loaded
 _DERIVED = (
+    "body_sameframe",
     "body_subtreemass",
     "body_invweight0",
     "dof_invweight0",

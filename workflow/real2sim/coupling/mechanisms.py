@@ -857,6 +857,32 @@ class HangingMass(StandingForce):
         self._mass.set(fields, where, parameters, values)
 
 
+_BESIDE_M = 1e-6  # what MuJoCo still takes for a centre of mass beside its body's origin
+
+
+class OffCentreMass(HangingMass):
+    """A part on the interface beside its centre, in the neutral trial as well, whose moments nothing balances.
+
+    Values (m, 6) are mass [kg], isotropic inertia [kg m^2], mass times its place in the interface (3) [kg m], and what
+    of the mass the lift does not balance [kg].
+    """
+
+    def build(self, spec, where):
+        """Motors; and a body whose centre of mass MuJoCo does not leave at the body's origin for good."""
+        super().build(spec, where)
+        body = spec.body("interface")
+        body.ipos = body.ipos + _BESIDE_M
+
+    def set(self, fields, where, parameters, values):
+        """Add to the body and move its centre."""
+        super().set(fields, where, parameters, values)
+        model = fields.model
+        body = model.body("interface").id
+        centre = model.body_ipos[body] - _BESIDE_M
+        moment = model.body_mass[body] * centre + values[:, 2:5]
+        fields["body_ipos"][:, body] = moment / fields["body_mass"][:, body, None]
+
+
 class AnsweringForce(DrivenForce):
     """Forces on two joints along world x and y that answer, by a law, what the strap does to the interface."""
 

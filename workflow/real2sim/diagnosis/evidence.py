@@ -575,6 +575,7 @@ def load_evidence(
         signals.lowpass(qd, rate, cutoff, 4),
         *_mean_pelvis(neutral),
         _pelvis_shape(trial),
+        twin.body("interface").pos,
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)

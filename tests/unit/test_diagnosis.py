@@ -881,8 +881,13 @@ def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue(
     relaxation, creep = (next(e for e in EFFECTS if e.name == name) for name in ("relaxation", "creep"))
     fast, slow = (Placed(e, e.places()[2], SCALES) for e in (relaxation, creep))
     elsewhere = Placed(creep, creep.places()[1], SCALES)
-    assert is_makeshift((slow, fast))
-    assert not is_makeshift((fast, elsewhere))
+    assert is_makeshift((slow, fast), 0.0)
+    assert not is_makeshift((fast, elsewhere), 20.0)
+    # two time constants are all there is to know where they leave nothing, and a spectrum where they do
+    both = next(e for e in EFFECTS if (e.name, e.form) == ("relaxation", "_two_times"))
+    two = Placed(both, both.places()[2], SCALES)
+    assert not is_makeshift((two,), 3.0)
+    assert is_makeshift((two,), 9.0)
     plain = Candidate((), 0, (90_000.0, 95_000.0))
     sets = [
         Candidate(("relaxation",), 2, (20_000.0, 22_000.0)),

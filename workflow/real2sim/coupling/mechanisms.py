@@ -470,6 +470,19 @@ class Maxwell:
             position[:, own] = position[:, strap] - fields["tendon_lengthspring"][:, fields.tendon(name), 0]
 
 
+class TwoTimes(Maxwell):
+    """Two such branches, values (m, 4): stiffness of both, share of the slower, time constant of the faster, ratio."""
+
+    def __init__(self):
+        super().__init__(2)
+
+    def set(self, fields, where, parameters, values):
+        """Stiffness and damping."""
+        stiffness, slow, fast, ratio = values.T
+        for name, part, time in zip(self._names(where), (1 - slow, slow), (fast, fast * ratio), strict=True):
+            _set_branch(fields, name, part * stiffness, time)
+
+
 def _branch(spec: mujoco.MjSpec, name: str, joint: str) -> None:
     """A spring and a damper in series on a joint, at rest where that is zero."""
     body = spec.worldbody.add_body(

@@ -29,6 +29,8 @@ T = TypeVar("T")
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+# SD of what noise leaves from which a set leaves more than that
+MORE_THAN_NOISE_SD = 4.0
 # Refits that say what is next best where no cause could earn its place
 QUIET_REFITS = 4
 # Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
@@ -141,11 +143,14 @@ def _conflict(effects: Sequence[Placed]) -> bool:
     return len(taken) != len(set(taken)) or len(laws) != len(set(laws))
 
 
-def is_makeshift(effects: Sequence[Placed]) -> bool:
-    """Whether effects stand for a cause that the catalogue does not hold.
+def is_makeshift(effects: Sequence[Placed], left_sd: float) -> bool:
+    """Whether effects that leave so many SD more than noise stand for a cause that the catalogue does not hold.
 
-    Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has.
+    Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
+    so are two time constants, but where these leave nothing they are all there is to know.
     """
+    if left_sd > MORE_THAN_NOISE_SD and any(p.effect.form == "_two_times" for p in effects):
+        return True
     branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
     return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")
 

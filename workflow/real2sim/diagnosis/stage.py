@@ -206,9 +206,11 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict) -> bool
 
 def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
     """The plain plant and every refitted set as the decision sees them."""
-    plain = Candidate((), 0, attribution.plain.chi2)
+    plain, noise = Candidate((), 0, attribution.plain.chi2), sum(attribution.samples)
+    left = [(sum(h.chi2) - noise) / np.sqrt(2 * noise) for h in attribution.hypotheses]
     return plain, [
-        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects)) for h in attribution.hypotheses
+        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects, sd))
+        for h, sd in zip(attribution.hypotheses, left, strict=True)
     ]
 
 

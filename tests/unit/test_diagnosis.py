@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling import chains
-from real2sim.coupling.answers import Admittance, Answer, Reaction
+from real2sim.coupling.answers import Admittance, Answer, HoldIntegral, Reaction
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import PlannedForce, Scales, Where, bouc_wen
@@ -76,7 +76,7 @@ from real2sim.identification.least_squares import STEP, Tangent
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
 from real2sim.signals import lowpass
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
@@ -108,10 +108,12 @@ NEUTRAL = {
     "base_compliance": [0.0] * 6,
     "base_compliance series": [-40.0] * 3,
     "base_compliance beyond_wheels": None,  # what is never rigid is never absent
+    "base_compliance play": None,
     "base_compliance rocking": None,
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
+    "controller_reaction hold_integral": [0.0] * 6,
     "added_mass hanging": [0.0, 0.0],
     "added_mass off_centre": [0.0] * 6,
     "coulomb _smooth": [-20.0, 0.0],
@@ -501,6 +503,45 @@ def test_an_admittance_is_a_reaction_and_what_it_has_kept_of_the_force():
     np.testing.assert_allclose(both[0], plain[0], atol=1e-12)
     # a force of 10 N along x, that leaks over 2 s
     assert both[1, -1, 0] == pytest.approx(0.5 * 10 * 2.0 * (1 - np.exp(-3.0 / 2.0)), rel=1e-6)
+
+
+def test_a_hold_with_an_integral_term_gathers_where_the_base_is_up_to_its_limit():
+    steps, h = 1000, 0.01
+    values = np.array([[60.0, 120.0, 12.0, 500.0, 6.0, 500.0]])
+    away = np.tile([0.02, -0.03, 0.0], (1, steps, 1))
+    law = HoldIntegral(values, np.zeros((1, 3)), h)
+    force = law.force(away, keep=True)[0]
+    # pulled back by r x t, and on the other axis up to the limit, from which it returns without winding up
+    assert force[-1, 0] == pytest.approx(-60 * 0.02 * 10.0, rel=0.01)
+    assert 0.9 * 6 < force[-1, 1] < 6
+    assert not force[:, 2].any()
+    back = law.force(-away, keep=True)[0]
+    assert back[99, 1] == pytest.approx(force[-1, 1] - 120 * 0.03 * 1.0, rel=0.02)
+
+
+def test_a_hold_with_an_integral_term_brings_the_base_back():
+    """7 N along x beside it: without it the base gives way by force over stiffness, with it hardly at the end."""
+    tilt, hold = placed_whole("tilt"), placed_whole("controller_reaction", "hold_integral")
+    slope = np.array([[0.007, 0.0]]) / tilt.values(np.ones((1, 2)))
+    still = np.zeros((2000, 6))
+    x = np.array([[150.0, 300.0, 60.0, np.log(500.0), np.log(500.0), np.log(100.0)]])
+    _, plain = replay([tilt], motion=still).run_effects(PRIOR[None], [slope])
+    _, held = replay([tilt, hold], motion=still).run_effects(PRIOR[None], [slope, x])
+    assert abs(plain[0, -1, 0]) > 1e-3
+    assert abs(held[0, -1, 0]) < 0.2 * abs(plain[0, -1, 0])
+
+
+def test_play_beyond_the_wheels_is_not_seen_by_the_log():
+    """Beyond half of the play the base takes its wheels along; within it, they hardly move."""
+    play = placed_whole("base_compliance", "play")
+    stiff, half = np.full(3, 5.0), np.array([0.004, 0.004, 0.01])
+    x = np.concatenate([stiff, np.log(half)])[None]
+    motion = smooth_motion(6.0)
+    paths, seen = replay([play], motion=motion).run_effects(PRIOR[None], [x])
+    base = paths[0].mean(axis=1)[:, 0] - paths[0, 0, :, 0].mean()
+    gap = np.abs(base - seen[0, :, 0])
+    assert gap.max() > 0.003
+    assert np.abs(seen[0, :, 0]).max() > 1e-3
 
 
 def test_an_answer_hears_the_strap_late_and_the_mean_of_standing_until_then():
@@ -1252,6 +1293,26 @@ def test_markers_whose_noise_is_slow_are_told_from_white_ones_by_the_bodies_they
     np.testing.assert_allclose(slow[:, -1], 1)
     np.testing.assert_allclose(slow[0], slow[1])
     assert louder / 3 < slow[0, 0] < louder * 3
+
+
+def test_noise_that_falls_steeply_is_seen_up_to_where_it_falls(tmp_path):
+    """A stranger's, 0.45 mm below 0.35 Hz and 0.3 mm below 2 Hz: one gentle slope missed nine tenths at 2 Hz."""
+    rng, n, rate = np.random.default_rng(4), 1200, 100.0
+    path, columns = tmp_path / "markers.parquet", {}
+    for name, place in _BODIES.items():
+        marker = np.array(place) + 1.5e-4 * rng.standard_normal((n, 3))
+        for level, corner in ((4.5e-4, 0.35), (3e-4, 2.0)):
+            sos = butter(4, corner, fs=rate, output="sos")
+            slow = sosfiltfilt(sos, rng.standard_normal((n + 4000, 3)), axis=0)[2000:-2000]
+            marker += level * slow / slow.std(axis=0)
+        columns |= {f"{name}_{c}": marker[:, i] for i, c in enumerate("xyz")}
+    pq.write_table(pa.table(columns), path)
+    colour = noise_colour(path, rate)[0]
+    # power per hertz against that of the white noise
+    plateau, floor = 3e-4**2 / 2.0, 1.5e-4**2 / (rate / 2)
+    assert 0.3 < colour[3] / (plateau / floor) < 3
+    assert colour[0] > 3 * colour[3]
+    assert colour[-1] == 1
 
 
 def test_pelvis_and_interface_have_noise_of_their_own_where_they_show_it(tmp_path):

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from real2sim.coupling import chains
-from real2sim.coupling.answers import Admittance, Reaction
+from real2sim.coupling.answers import Admittance, HoldIntegral, Reaction
 from real2sim.coupling.chains import Context, OffCentre, RestTurned, Retaped, Sighting, TurnedLab
 from real2sim.coupling.mechanisms import (
     AnsweringForce,
@@ -29,6 +29,7 @@ from real2sim.coupling.mechanisms import (
     EvenSpring,
     ExponentialSpring,
     GentleStop,
+    GentleStops,
     HangingMass,
     InterfaceMass,
     Maxwell,
@@ -42,6 +43,7 @@ from real2sim.coupling.mechanisms import (
     RobotRelaxation,
     Rocking,
     Scales,
+    SlackBeyondWheels,
     SmoothFriction,
     SoftDeadBand,
     SplitSpring,
@@ -608,6 +610,27 @@ EFFECTS: tuple[Effect, ...] = (
         form="_gentle",
     ),
     Effect(
+        "joint_limit",
+        "interface",
+        "F = k q + c (|q| - clearance)^3 sgn(q) beyond the clearance: stops on both sides that begin gently",
+        (
+            EffectParameter("clearance", "m|rad", 0.05, 1.0, (0.4,), _q, log=True),
+            EffectParameter(
+                "cubic",
+                "N/m3|Nm/rad3",
+                0.5,
+                5000.0,
+                (10.0,),
+                lambda s, i: float(s.k[i] / s.q[i] ** 2),
+                log=True,
+            ),
+        ),
+        "A",
+        "a slow ramp into the stop",
+        plant=GentleStops(),
+        form="_clearance",
+    ),
+    Effect(
         "quadratic_damping",
         "interface",
         "F = d qdot + d2 qdot |qdot|",
@@ -717,6 +740,27 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "base_compliance",
         "robot",
+        "the base has play beyond its wheels, unseen by their odometry: a spring with a dead band in series",
+        (
+            *(
+                EffectParameter(f"ln_stiffness_{axis}", "1", -1.0, 6.0, (3.0,), prior_sd=3.0)
+                for axis in ("x", "y", "yaw")
+            ),
+            *(
+                EffectParameter(f"half_play_{axis}", "m", 2e-4, 0.05, (0.003,), log=True)
+                for axis in ("x", "y")
+            ),
+            EffectParameter("half_play_yaw", "rad", 2e-4, 0.1, (0.006,), log=True),
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=SlackBeyondWheels(ROBOT_JOINTS[:3]),
+        form="play",
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
         "the robot rocks in roll and pitch on its suspension, unseen by its log: springs and dampers at the floor",
         (
             *(
@@ -769,6 +813,26 @@ EFFECTS: tuple[Effect, ...] = (
             "Add to base_x and base_y the strap's horizontal force on the interface, passed through a low-pass of first"
             " order with the smoothing as time constant, times the gain, and its leaky integral (less what it was at"
             " the start) times the integral gain"
+        ),
+    ),
+    Effect(
+        "controller_reaction",
+        "robot",
+        "F' = -r x on each joint of the base, x from its start, held within a limit: the integral term of the hold",
+        (
+            *(EffectParameter(f"rate_{axis}", "N/(m s)", -300.0, 2000.0, (60.0,)) for axis in "xy"),
+            EffectParameter("rate_yaw", "Nm/(rad s)", -60.0, 400.0, (12.0,)),
+            *(EffectParameter(f"limit_{axis}", "N", 1.0, 500.0, (30.0,), log=True) for axis in "xy"),
+            EffectParameter("limit_yaw", "Nm", 0.2, 100.0, (6.0,), log=True),
+        ),
+        "controller_reaction",
+        "the same motion with the controller off",
+        scope="whole",
+        plant=AnsweringForce(HoldIntegral, ROBOT_JOINTS[:3]),
+        form="hold_integral",
+        remedy=(
+            "Take from each joint of the base its rate times the integral of where it is from its start, held within"
+            " its limit"
         ),
     ),
     Effect(

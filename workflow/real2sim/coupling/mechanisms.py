@@ -681,6 +681,23 @@ class GentleStop:
         fields["tendon_lengthspring"][:, index, 1 if where.side > 0 else 0] = where.side * place
 
 
+class GentleStops:
+    """Stops on both sides that begin with the cube of what is beyond: values are clearance and cubic, (m, 2)."""
+
+    def build(self, spec, where):
+        """One tendon over the strap joint, whose dead band is the clearance."""
+        joint = {STRAP_JOINTS[where.axes[0]]: 1.0}
+        _tendon(spec, f"stops_{where.element}", joint, stiffness=[1, 0, 1], springlength=[-_FAR, _FAR])
+
+    def set(self, fields, where, parameters, values):
+        """Dead band and cube."""
+        index = fields.tendon(f"stops_{where.element}")
+        clearance, cubic = values.T
+        fields["tendon_stiffness"][:, index] = 0
+        fields["tendon_stiffnesspoly"][:, index, 1] = cubic
+        fields["tendon_lengthspring"][:, index] = np.stack([-clearance, clearance], axis=1)
+
+
 class InterfaceMass:
     """Mass and isotropic inertia that the twin's interface body lacks, values (m, 2) [kg, kg m^2]."""
 
@@ -776,6 +793,18 @@ class YieldBeyondWheels:
             fields["tendon_stiffness"][:, fields.tendon(name)] = stiffness * np.exp(ln)
             rest = fields["qpos_spring"][:, model.jnt_qposadr[number]]
             fields["tendon_lengthspring"][:, fields.tendon(name)] = rest[:, None]
+
+
+class SlackBeyondWheels(YieldBeyondWheels):
+    """As `YieldBeyondWheels`, with play: values are ln of stiffness and then half of the play [m, rad], by joint."""
+
+    def set(self, fields, where, parameters, values):
+        """The spring of each joint has a dead band."""
+        joints = len(self._joints)
+        super().set(fields, where, parameters, values[:, :joints])
+        for name, half in zip(self.logged(where).values(), values[:, joints:].T, strict=True):
+            band = half[:, None] * np.array([-1.0, 1.0])
+            fields["tendon_lengthspring"][:, fields.tendon(name)] += band
 
 
 class Rocking:
@@ -897,7 +926,7 @@ class OffCentreMass(HangingMass):
 
 
 class AnsweringForce(DrivenForce):
-    """Forces on two joints along world x and y that answer, by a law, what the strap does to the interface."""
+    """Forces on joints of the base that answer, by a law, what the strap does to the interface or where the base is."""
 
     def __init__(self, law: type[Law], joints: tuple[str, ...]):
         super().__init__(joints)

@@ -368,13 +368,14 @@ class EffectReplay(Replay):
         force = -(force + self._parameters[:m, None, 6:9] * context.rates[:start, :3])
         return np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start
 
-    def _begin(self, before: np.ndarray) -> dict[int, Answer]:
-        """Controllers that have heard ``before`` (m, 2) [N] up to the start, by number of their effect."""
-        m, h = len(before), self.model.opt.timestep
+    def _begin(self, pulled: np.ndarray) -> dict[int, Answer]:
+        """Controllers up to the start, where the strap pulled with (m, 2) [N], by number of their effect."""
+        m, h = len(pulled), self.model.opt.timestep
         answers = {}
         for i in self._answering:
             plant = self.effects[i].effect.plant
             assert isinstance(plant, AnsweringForce)
+            before = pulled if plant.law.hears == "strap" else np.zeros((m, 3))
             answers[i] = Answer(plant.law(self._values[i][:m], before, h), before, h, self.nstep)
             self._control[:m, :1, self._columns_of[i]] = answers[i].plan(1)
         return answers
@@ -383,6 +384,8 @@ class EffectReplay(Replay):
         """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
         batch, ids, count = self._batch, np.arange(m), max(round(WINDOW_S / self.model.opt.timestep), 1)
         pull = np.empty((m, last, 2))
+        base = slice(self._robot_columns.start, self._robot_columns.start + 3)
+        start = self._state(m)[0][..., self.model.jnt_qposadr[self._robot_joints[:3]]].reshape(-1, 1, 3)
         for first in range(0, last, count):
             window = slice(first, min(first + count, last))
             for i, answer in answers.items():
@@ -391,8 +394,9 @@ class EffectReplay(Replay):
             done = batch.rollout(window.stop - first, control, record=_HEARD, ids=ids)
             self._sensors[:m, window] = done["sensordata"]
             pull[:, window] = self._strap_force(done, window)
+            heard = {"strap": pull[:, window], "base": done["sensordata"][..., base] - start}
             for answer in answers.values():
-                answer.learn(pull[:, window])
+                answer.learn(heard[answer.hears])
         return pull
 
     def _strap_force(self, done: dict[str, np.ndarray], window: slice) -> np.ndarray:

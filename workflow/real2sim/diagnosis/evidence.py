@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import mujoco
@@ -67,13 +67,15 @@ SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.0
 SPIKE_EDGE_S = 0.05
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
-# Probability from which noise that looks slower than white is taken as such, and the slow noise that is tried: power
-# against the white one's at low frequencies, and the corner above which it falls
-COLOUR_SURE = 0.999
+# Deviance by which noise that looks slower than white is taken as such (three numbers and a probability of 0.9999), and
+# the slow noise that is tried: power against the white one's at low frequencies, the corner above which it falls, by
+# which power of the frequency, and how many parts of it
+_SURE = float(chi2.ppf(0.9999, 3))
 # Share of the loudest combination's variance that another has at least, to tell of the noise
 LEAST_TELLING = 0.01
-_SLOW_POWERS = np.geomspace(0.3, 1000, 30)
+_SLOW_POWERS = np.geomspace(0.3, 3000, 30)
 _SLOW_CORNERS_HZ = np.geomspace(0.05, 3.0, 20)
+_SLOW_FALLS, _MOST_PARTS = (2, 8), 2
 # Where a moving person hardly moves
 QUIET_BAND_HZ = (7.0, 10.0)
 # A strap that rests elsewhere along one axis, and a robot that starts elsewhere
@@ -697,11 +699,11 @@ def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
     """How much more power noise has in each band of BANDS_HZ than where `marker_noise` looks, 1 or more: (2, bands).
 
     Of the pelvis' and of the interface's markers. Markers of a body that stands keep their distances, whatever it does;
-    only their noise changes them. White noise and noise that forgets (an Ornstein-Uhlenbeck process: as loud below a
-    corner, falling with the square of the frequency above) are fitted to the spectra by Whittle's likelihood, for some
-    seconds hold few periods of the slow bands; the slow one is believed only where chance would hardly make it. Both
-    bodies have the same noise unless they show otherwise: the one distance on the interface tells little. ``markers``
-    is markers.parquet of the neutral trial.
+    only their noise changes them. White noise and up to two parts of slow noise are fitted to the spectra by Whittle's
+    likelihood, for some seconds hold few periods of the slow bands. A part is as loud below a corner; above, it falls
+    with the square of the frequency (an Ornstein-Uhlenbeck process) or far faster (behind a filter). It is believed
+    only where chance would hardly make it. Both bodies have the same noise unless they show otherwise: the one distance
+    on the interface tells little. ``markers`` is markers.parquet of the neutral trial.
     """
     table = pq.read_table(markers)
     places = {m: np.column_stack([table[f"{m}_{c}"].to_numpy() for c in "xyz"]) for m in MARKERS}
@@ -710,9 +712,9 @@ def noise_colour(markers: Path, rate_hz: float) -> np.ndarray:
     powers = [_power(lengths[:, body], frequency) for body in (slice(-1), slice(-1, None))]
     slow = frequency[_heard(frequency)]
     together, apart = _slow_noise(np.hstack(powers), slow), [_slow_noise(power, slow) for power in powers]
-    sure = chi2.ppf(COLOUR_SURE, 2)
-    differ = together.deviance - sum(noise.deviance for noise in apart) > sure
-    return np.array([noise.colour(sure) for noise in (apart if differ else [together] * 2)])
+    more = max(sum(len(noise.parts) for noise in apart) - len(together.parts), 1)
+    differ = together.deviance - sum(noise.deviance for noise in apart) > more * _SURE
+    return np.array([noise.colour() for noise in (apart if differ else [together] * 2)])
 
 
 def _heard(frequency: np.ndarray) -> np.ndarray:
@@ -734,46 +736,62 @@ def _power(series: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     return np.asarray((coefficients[_heard(frequency)] @ combinations[:, telling]) ** 2)
 
 
+# Power against the white noise's, corner [Hz] and the power of the frequency by which a part of slow noise falls
+_Part = tuple[float, float, int]
+
+
 @dataclass(frozen=True)
 class _SlowNoise:
-    """Fit of slow noise beside white noise: its power against the white one's below a corner [Hz].
+    """Fit of slow noise beside white noise: its parts, none where chance would make as much, and the ``deviance``.
 
-    ``deviance`` is minus twice Whittle's log-likelihood, but for a constant, and ``white`` that without slow noise.
+    That is minus twice Whittle's log-likelihood, but for a constant.
     """
 
     deviance: float
-    white: float
-    loud: float
-    corner_hz: float
+    parts: tuple[_Part, ...]
 
-    def shape(self, low_hz: float, high_hz: float) -> float:
-        """Mean power of a band against the white noise's."""
-        return float(_shape(self.loud, self.corner_hz, np.linspace(low_hz, high_hz)).mean())
+    def colour(self) -> np.ndarray:
+        """Of `noise_colour`, for one body."""
 
-    def colour(self, sure: float) -> np.ndarray:
-        """Of `noise_colour`, for one body; white where the deviance does not fall by as much as ``sure``."""
-        if self.white - self.deviance < sure:
-            return np.ones(len(BANDS_HZ) - 1)
-        of_bands = [self.shape(low, high) for low, high in pairwise(BANDS_HZ)]
-        return np.maximum(np.array(of_bands) / self.shape(*NOISE_BAND_HZ), 1.0)
+        def mean(low_hz: float, high_hz: float) -> float:
+            return float(_shape(self.parts, np.linspace(low_hz, high_hz)).mean())
+
+        of_bands = [mean(low, high) for low, high in pairwise(BANDS_HZ)]
+        return np.maximum(np.array(of_bands) / mean(*NOISE_BAND_HZ), 1.0)
 
 
-def _shape(loud: float, corner_hz: float, frequency: np.ndarray) -> np.ndarray:
-    return 1 + loud / (1 + (frequency / corner_hz) ** 2)
+def _shape(parts: Sequence[_Part], frequency: np.ndarray) -> np.ndarray:
+    shape = np.ones_like(frequency)
+    for loud, corner, falls in parts:
+        shape += loud / (1 + (frequency / corner) ** falls)
+    return shape
 
 
 def _slow_noise(power: np.ndarray, frequency: np.ndarray) -> _SlowNoise:
-    """Likeliest slow noise of spectra (f, k) that each have a level of their own."""
+    """Likeliest slow noise of spectra (f, k) that each have a level of their own, part by part."""
+    every = list(product(_SLOW_POWERS, _SLOW_CORNERS_HZ, _SLOW_FALLS))
 
-    def deviance(loud: float, corner_hz: float) -> float:
-        shape = _shape(loud, corner_hz, frequency)[:, None]
+    def deviance(parts: Sequence[_Part]) -> float:
+        shape = _shape(parts, frequency)[:, None]
         return float(len(shape) * np.log(np.mean(power / shape, axis=0)).sum()) + float(
             power.shape[1] * np.log(shape).sum()
         )
 
-    white = deviance(0.0, 1.0)
-    best = min((deviance(a, c), a, c) for a in _SLOW_POWERS for c in _SLOW_CORNERS_HZ)
-    return _SlowNoise(best[0], white, *best[1:])
+    def likeliest(others: tuple[_Part, ...]) -> _SlowNoise:
+        return min(
+            (_SlowNoise(deviance((*others, p)), (*others, p)) for p in every), key=lambda n: n.deviance
+        )
+
+    best = _SlowNoise(deviance(()), ())
+    while len(best.parts) < _MOST_PARTS:
+        more = likeliest(best.parts)
+        # what stood alone made up for what has come beside it
+        for _ in best.parts:
+            more = likeliest(more.parts[1:])
+        if best.deviance - more.deviance < _SURE:
+            break
+        best = more
+    return best
 
 
 def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:

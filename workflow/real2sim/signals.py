@@ -49,6 +49,15 @@ def fill_gaps(values: np.ndarray, rate_hz: float, max_gap_s: float) -> tuple[np.
     return out, filled
 
 
+def bridged(values: np.ndarray) -> np.ndarray:
+    """A series (n, k) with unknown samples bridged by straight lines."""
+    out, sample = values.copy(), np.arange(len(values))
+    for c in range(values.shape[1]):
+        known = np.isfinite(values[:, c])
+        out[~known, c] = np.interp(sample[~known], sample[known], values[known, c])
+    return out
+
+
 def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> np.ndarray:
     """Zero-phase Butterworth low-pass, each contiguous stretch by itself.
 

@@ -36,6 +36,7 @@ from real2sim.coupling.plant import (
     load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
+from real2sim.diagnosis.ghosts import without_ghosts
 from real2sim.diagnosis.skin import Skin, skin_of
 from real2sim.diagnosis.start import at_first, moved_to_first
 from real2sim.geometry import (
@@ -451,7 +452,7 @@ def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarra
     only and leaves most of the noise: nothing is looked for there.
     """
     n = len(paths)
-    flat = bridged(paths.reshape(n, 6))
+    flat = signals.bridged(paths.reshape(n, 6))
     fast = flat - signals.lowpass(flat, rate_hz, SPIKE_CUTOFF_HZ, 4)
     usual = np.median(np.abs(fast), axis=0) / 0.6745
     hit = (np.abs(fast) > sd * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
@@ -482,7 +483,7 @@ def smoothed_pelvis(
     person made. Above the cut-off none of the six pelvis coordinates has three times the power of its noise. The person
     stands still in the first ``start`` samples.
     """
-    position, vectors = bridged(trial.pelvis_position), _vectors(trial.pelvis_rotation)
+    position, vectors = signals.bridged(trial.pelvis_position), _vectors(trial.pelvis_rotation)
     rigid = _rigid_markers(trial)
     rng = np.random.default_rng(0)
     white = np.stack([rng.standard_normal(rigid.shape[1:]) * sd[name] for name in PELVIS_MARKERS])
@@ -553,6 +554,7 @@ def load_evidence(
     rate = settings["ingest"]["rate_hz"]
     trial = replace(trial, interface=_without_filled(trial.interface, folder / "markers.parquet", rate))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
+    trial = without_ghosts(trial, rate, ident["settle_after_gap_s"])
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     colour = noise_colour(neutral / "markers.parquet", rate)
@@ -567,7 +569,7 @@ def load_evidence(
         trial.time_s,
         trial.time_s,
         bridged_rotation(trial.pelvis_rotation),
-        bridged(trial.pelvis_position),
+        signals.bridged(trial.pelvis_position),
         bridged_rotation(rotation),
         start,
         float(twin.body_mass.sum()),
@@ -625,7 +627,7 @@ def _rotations(table: pa.Table, body: str) -> np.ndarray:
 def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
     """Measured interface coordinates ("q") or rates ("qd") (n, 6) of pose.parquet, gaps bridged."""
     table = pq.read_table(path, columns=[f"{prefix}_{axis}" for axis in AXES])
-    return bridged(np.column_stack([column.to_numpy() for column in table.columns]))
+    return signals.bridged(np.column_stack([column.to_numpy() for column in table.columns]))
 
 
 def _large(values: np.ndarray) -> np.ndarray:
@@ -647,21 +649,12 @@ def adapted(evidence: Evidence, parameters: np.ndarray) -> Scales:
     return Scales(old.q, old.v, parameters[:6], parameters[6:], inertia)
 
 
-def bridged(values: np.ndarray) -> np.ndarray:
-    """A series (n, k) with unknown samples bridged by straight lines."""
-    out, sample = values.copy(), np.arange(len(values))
-    for c in range(values.shape[1]):
-        known = np.isfinite(values[:, c])
-        out[~known, c] = np.interp(sample[~known], sample[known], values[known, c])
-    return out
-
-
 def _vectors(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (n, 3) from the first known of rotations (n, 3, 3), unknown ones bridged."""
     known = np.isfinite(rotation).all(axis=(1, 2))
     vectors = np.full((len(rotation), 3), np.nan)
     vectors[known] = Rotation.from_matrix(rotation[np.argmax(known)].T @ rotation[known]).as_rotvec()
-    return bridged(vectors)
+    return signals.bridged(vectors)
 
 
 def bridged_rotation(rotation: np.ndarray) -> np.ndarray:
@@ -681,7 +674,7 @@ def marker_noise(markers: Path, rate_hz: float) -> dict[str, np.ndarray]:
     names = (*PELVIS_MARKERS, *INTERFACE_MARKERS)
     variance = np.empty((len(names), 3))
     for i, name in enumerate(names):
-        path = bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
+        path = signals.bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
         variance[i] = np.maximum(_white_variance(path, rate_hz, NOISE_BAND_HZ), SMALLEST_NOISE_M**2)
     duration = len(table) / rate_hz
     known = drawn_together(variance, 2 * duration * (NOISE_BAND_HZ[1] - NOISE_BAND_HZ[0]))
@@ -728,7 +721,7 @@ def _power(series: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     Two distances that share a marker share its noise. Markers in one plane make a combination that noise hardly moves,
     a marker that is never seen none at all.
     """
-    seen = bridged(series[:, np.isfinite(series).any(axis=0)])
+    seen = signals.bridged(series[:, np.isfinite(series).any(axis=0)])
     coefficients = dct(seen - seen.mean(axis=0), axis=0, norm="ortho")
     fast = coefficients[(frequency > NOISE_BAND_HZ[0]) & (frequency < NOISE_BAND_HZ[1])]
     variance, combinations = np.linalg.eigh(fast.T @ fast / len(fast))
@@ -814,7 +807,7 @@ def hold_uncertainty(
     neutral trial). ``held`` as from `impedances`.
     """
     table, second = pq.read_table(pose), round(rate_hz)
-    place = bridged(np.column_stack([table[f"interface_{c}"].to_numpy() for c in "xyz"]))
+    place = signals.bridged(np.column_stack([table[f"interface_{c}"].to_numpy() for c in "xyz"]))
     turn = _vectors(_rotations(table, "interface"))
     path = np.column_stack([place[:, :2], turn[:, 2], place[:, 2], turn[:, :2]])
     means = path[: len(path) // second * second].reshape(-1, second, 6).mean(axis=1)
@@ -838,7 +831,7 @@ def robot_noise(neutral: Path, trial: Path, rate_hz: float) -> np.ndarray:
         table = pq.read_table(path)
         columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
         if np.isfinite(columns).all(axis=1).mean() >= 0.5:
-            return np.asarray(np.sqrt(_white_variance(bridged(columns), rate_hz, band)))
+            return np.asarray(np.sqrt(_white_variance(signals.bridged(columns), rate_hz, band)))
     return np.zeros(len(ROBOT_JOINTS))
 
 

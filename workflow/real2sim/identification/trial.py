@@ -84,10 +84,6 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
             "both measured while the person stands quietly, which gives the robot's start pose",
             "Crop the export so that it starts with a measured span, or exclude the trial in subject.yaml.",
         )
-    usable = pelvis_measured.copy()
-    rate = 1 / (time_s[1] - time_s[0])
-    for end in np.flatnonzero(~pelvis_measured[:-1] & pelvis_measured[1:]) + 1:
-        usable[end : end + round(settle_s * rate)] = False
     return Trial(
         time_s,
         pelvis_rotation,
@@ -95,11 +91,19 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
         interface,
         mean_rotation(rotation_matrix(quat[measured])),
         position[measured].mean(axis=0),
-        usable,
+        usable(pelvis_measured, 1 / (time_s[1] - time_s[0]), settle_s),
         RestPose(np.array(meta["rest"]["rotation"]), np.array(meta["rest"]["position"])),
         bool(meta.get("phantom", False)),
         paths(PELVIS_MARKERS),
     )
+
+
+def usable(measured: np.ndarray, rate_hz: float, settle_s: float) -> np.ndarray:
+    """Samples (n,) that count in the cost where the pelvis is ``measured``, a while after each gap left out [s]."""
+    out = measured.copy()
+    for end in np.flatnonzero(~measured[:-1] & measured[1:]) + 1:
+        out[end : end + round(settle_s * rate_hz)] = False
+    return out
 
 
 def load_limits(path: Path) -> JointLimits:

@@ -336,7 +336,7 @@ def diagnosed(system: System, settings: dict, progress: Callable[[str], None]) -
     train.scales = held_out.scales = scales
     pair = Pair(train, held_out, bounds)
     found = attribute(pair, z, settings["search"], progress, places(scales, system.moved))
-    plain, sets = candidates_of(found)
+    plain, sets = candidates_of(found, settings["search"])
     return decide(plain, sets, found.samples, settings["calibration"]), found, z
 
 

@@ -75,6 +75,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "refused_gates": {},
         "robot_holds": "start pose",
         "otherwise": None,
+        "pelvis_markers_jumped_s": {},
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
         "noise_floor": {
@@ -203,6 +204,14 @@ def test_page_names_the_gates_that_refuse_what_it_rests_on(tmp_path):
     text = _page(tmp_path, _diagnosis(refused_gates={"S01/dynamic_2": ["spikes", "rate"]})).text
     assert "S01/dynamic_2 is refused by its gates (spikes, rate)" in text
     assert "refused by its gates" not in _page(tmp_path, _diagnosis()).text
+
+
+def test_the_page_tells_which_pelvis_markers_were_not_believed(tmp_path):
+    """What is mended in silence is never labelled again."""
+    jumped = {"dynamic_2": {"PSIS_R": 0.34, "ASIS_L": 0.2}}
+    text = _page(tmp_path, _diagnosis(pelvis_markers_jumped_s=jumped)).text
+    assert "In dynamic_2 pelvis markers jump (PSIS_R for 0.34 s, ASIS_L for 0.2 s)" in text
+    assert "markers jump" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_says_where_the_controller_holds_where_that_is_not_the_start_pose(tmp_path):

@@ -251,6 +251,13 @@ def wobbling_tissue(values, context):
     return soft_tissue(values[:18], replace(context, pelvis_rotation=rotation, pelvis_position=bone[:, :3]))
 
 
+def slides(time_s):
+    """How long (n,) [s] a marker has slid, at a steady rate and at one that fades over a third of the trial."""
+    t = time_s - time_s[0]
+    fades = t[-1] / 3
+    return t, fades * (1 - np.exp(-t / fades))
+
+
 def sliding_marker(index: int):
     """Ways (n, 4, 3) [m, pelvis] of the pelvis' markers of which one (order of `PELVIS_MARKERS`) slides, values (6,).
 
@@ -258,10 +265,9 @@ def sliding_marker(index: int):
     """
 
     def ways(values, context):
-        t = context.time_s - context.time_s[0]
-        fades = t[-1] / 3
-        out = np.zeros((len(t), *context.pelvis_shape.shape))
-        out[:, index] = t[:, None] * values[:3] + fades * (1 - np.exp(-t / fades))[:, None] * values[3:]
+        steady, fading = slides(context.time_s)
+        out = np.zeros((len(steady), *context.pelvis_shape.shape))
+        out[:, index] = steady[:, None] * values[:3] + fading[:, None] * values[3:]
         return out
 
     return ways
@@ -275,10 +281,7 @@ def under_skin(ways):
         shape = context.pelvis_shape
         seen, true = (
             position[:, None] + np.einsum("nij,nkj->nki", rotation, on_bone)
-            for on_bone in (
-                np.broadcast_to(shape, (len(position), *shape.shape)),
-                shape - ways(values, context),
-            )
+            for on_bone in (np.tile(shape, (len(position), 1, 1)), shape - ways(values, context))
         )
         (r0, p0), (r1, p1) = (pelvis_frame(*np.moveaxis(markers, 1, 0)) for markers in (seen, true))
         return np.einsum("nij,nkj->nik", r1, r0) @ rotation, position + p1 - p0

@@ -820,8 +820,8 @@ EFFECTS: tuple[Effect, ...] = (
         "robot",
         "F' = -r x on each joint of the base, x from its start, held within a limit: the integral term of the hold",
         (
-            *(EffectParameter(f"rate_{axis}", "N/(m s)", -300.0, 2000.0, (60.0,)) for axis in "xy"),
-            EffectParameter("rate_yaw", "Nm/(rad s)", -60.0, 400.0, (12.0,)),
+            *(EffectParameter(f"rate_{axis}", "N/m/s", -300.0, 2000.0, (60.0,)) for axis in "xy"),
+            EffectParameter("rate_yaw", "Nm/rad/s", -60.0, 400.0, (12.0,)),
             *(EffectParameter(f"limit_{axis}", "N", 1.0, 500.0, (30.0,), log=True) for axis in "xy"),
             EffectParameter("limit_yaw", "Nm", 0.2, 100.0, (6.0,), log=True),
         ),

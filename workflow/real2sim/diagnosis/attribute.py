@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Scales
+from real2sim.coupling.mechanisms import Scales, TwoTimes
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
@@ -29,8 +29,6 @@ T = TypeVar("T")
 KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
-# SD of what noise leaves from which a set leaves more than that
-MORE_THAN_NOISE_SD = 4.0
 # Refits that say what is next best where no cause could earn its place
 QUIET_REFITS = 4
 # Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
@@ -143,13 +141,13 @@ def _conflict(effects: Sequence[Placed]) -> bool:
     return len(taken) != len(set(taken)) or len(laws) != len(set(laws))
 
 
-def is_makeshift(effects: Sequence[Placed], left_sd: float) -> bool:
-    """Whether effects that leave so many SD more than noise stand for a cause that the catalogue does not hold.
+def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool) -> bool:
+    """Whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
 
     Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
     so are two time constants, but where these leave nothing they are all there is to know.
     """
-    if left_sd > MORE_THAN_NOISE_SD and any(p.effect.form == "_two_times" for p in effects):
+    if not leaves_noise and any(isinstance(p.effect.plant, TwoTimes) for p in effects):
         return True
     branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
     return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")

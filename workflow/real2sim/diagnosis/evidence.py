@@ -36,7 +36,14 @@ from real2sim.coupling.plant import (
     load_robot,
 )
 from real2sim.coupling.superset import EffectReplay, InputBasis
-from real2sim.diagnosis.ghosts import without_ghosts
+from real2sim.diagnosis.jumps import (
+    EDGE_S,
+    MARKER_FLOOR_M,
+    SPIKE_RESIDUAL_SD,
+    around,
+    spikes,
+    without_ghosts,
+)
 from real2sim.diagnosis.skin import Skin, skin_of
 from real2sim.diagnosis.start import at_first, moved_to_first
 from real2sim.geometry import (
@@ -52,20 +59,14 @@ from real2sim.identification.cost import CostScales, TrialCost
 from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs
 from real2sim.quality.markers import MARKERS, distances, stacked
 
-# What a channel is never trusted beyond: markers [m], base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
+# What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
-MARKER_FLOOR_M = 5e-5
 ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
 # The pelvis path is never smoothed below this; noise is never taken as smaller than that
 LOWEST_CUTOFF_HZ = 3.0
 # Most parts of a time step while a cause is only searched for
 COARSE = 2
 SMALLEST_NOISE_M = 2e-5
-# A spike stands out of what is faster than the cut-off by so many SD, of a path or of the residual that the best fit
-# leaves; the low-pass of the ingest smears it so far
-SPIKE_CUTOFF_HZ, SPIKE_SD, SPIKE_RESIDUAL_SD, SPIKE_SMEAR_S = 4.0, 7.0, 5.0, 0.08
-# So far from the end of a path its noise is as loud as anywhere
-SPIKE_EDGE_S = 0.05
 # Where standing still shows the markers' noise
 NOISE_BAND_HZ = (3.0, 7.0)
 # Deviance by which noise that looks slower than white is taken as such (three numbers and a probability of 0.9999), and
@@ -135,7 +136,7 @@ class Evidence:
     robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
-    and ``skin`` what the pelvis' markers say of each other.
+    and ``skin`` what the pelvis' markers say of each other. ``jumped_s`` is for how long [s] pelvis markers jumped.
     ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
     ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`; ``threads``
     step its simulations, see `Replay`. What input chains and noise make of the pelvis' path is kept for the
@@ -160,6 +161,7 @@ class Evidence:
     let_go: np.ndarray
     pelvis_cutoff_hz: float
     skin: Skin | None = None
+    jumped_s: dict[str, float] = field(default_factory=dict)
     whiteners: np.ndarray | None = None
     noise: np.ndarray | None = None
     start_joints: np.ndarray | None = None
@@ -445,24 +447,6 @@ class Evidence:
         return error
 
 
-def spikes(paths: np.ndarray, rate_hz: float, sd: float = SPIKE_SD) -> np.ndarray:
-    """Where marker paths, or residuals of them, (n, 2, 3) jump, (n, 2): fast content beyond ``sd`` times the usual.
-
-    With it comes what the filter smears around it. Where a path begins or ends, also at a gap, a filter has one side
-    only and leaves most of the noise: nothing is looked for there.
-    """
-    n = len(paths)
-    flat = signals.bridged(paths.reshape(n, 6))
-    fast = flat - signals.lowpass(flat, rate_hz, SPIKE_CUTOFF_HZ, 4)
-    usual = np.median(np.abs(fast), axis=0) / 0.6745
-    hit = (np.abs(fast) > sd * np.maximum(usual, MARKER_FLOOR_M)).reshape(n, 2, 3).any(axis=2)
-    lost = np.pad(~np.isfinite(paths).all(axis=2), ((1, 1), (0, 0)), constant_values=True)
-    edge = np.ones(2 * round(SPIKE_EDGE_S * rate_hz) + 1)
-    hit &= ~np.stack([np.convolve(lost[:, m], edge, "same")[1:-1] > 0 for m in range(2)], axis=1)
-    width = round(SPIKE_SMEAR_S * rate_hz)
-    return np.stack([np.convolve(hit[:, m], np.ones(2 * width + 1), "same") > 0 for m in range(2)], axis=1)
-
-
 def _from_standing(values: np.ndarray, rate_hz: float, cutoff_hz: float, start: int) -> np.ndarray:
     """Low-passed series (n, ...) of somebody who stood still before it as on average in its first samples.
 
@@ -554,7 +538,7 @@ def load_evidence(
     rate = settings["ingest"]["rate_hz"]
     trial = replace(trial, interface=_without_filled(trial.interface, folder / "markers.parquet", rate))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
-    trial = without_ghosts(trial, rate, ident["settle_after_gap_s"])
+    trial, jumped = without_ghosts(trial, rate, ident["settle_after_gap_s"])
     trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     colour = noise_colour(neutral / "markers.parquet", rate)
@@ -591,7 +575,7 @@ def load_evidence(
     held = impedances(settings["robot"], "hold")
     of_poses = rest_uncertainty(standing, rate), hold_uncertainty(standing, rate, twin, held)
     of_channels = (sd, colour, log_sd, *of_poses)
-    last = let_go, cutoff, skin
+    last = let_go, cutoff, skin, jumped
     return Evidence(
         trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, *last
     )
@@ -602,11 +586,10 @@ def _without_filled(interface: np.ndarray, markers: Path, rate_hz: float) -> np.
 
     What fills a gap starts from noise at both ends, and with loud markers it was taken for a jump.
     """
-    table, width = pq.read_table(markers), 2 * round(SPIKE_EDGE_S * rate_hz) + 1
+    table = pq.read_table(markers)
+    filled = np.column_stack([table[f"{name}_filled"].to_numpy() for name in INTERFACE_MARKERS])
     out = interface.copy()
-    for m, name in enumerate(INTERFACE_MARKERS):
-        filled = table[f"{name}_filled"].to_numpy().astype(float)
-        out[np.convolve(filled, np.ones(width), "same") > 0.5, m] = np.nan
+    out[around(filled, rate_hz, EDGE_S)] = np.nan
     return out
 
 

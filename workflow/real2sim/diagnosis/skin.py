@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from real2sim.coupling.chains import slides
 from real2sim.geometry import pelvis_frame
 
 # Spans whose means are taken as independent of each other, and how many a trend needs [s]
@@ -35,21 +36,15 @@ class Skin:
     weights: np.ndarray
     seen: np.ndarray
 
-    def departures(self, slides: np.ndarray) -> np.ndarray:
+    def departures(self, ways: np.ndarray) -> np.ndarray:
         """Residuals of displacements (n, 4, 3) [m, pelvis] that are said to have been, in units of their noise."""
-        means = self.spans @ slides.reshape(len(slides), 12)
+        means = self.spans @ ways.reshape(len(ways), 12)
         return np.asarray((self.trends @ means @ self.against * self.weights).ravel() - self.seen)
 
-    def against_it(self, slides: np.ndarray) -> float:
+    def against_it(self, ways: np.ndarray) -> float:
         """What displacements (n, 4, 3) [m, pelvis] cost that the markers do not show; nothing where they do."""
-        off = self.departures(slides)
+        off = self.departures(ways)
         return max(float(off @ off - self.seen @ self.seen), 0.0)
-
-
-def trends(time_s: np.ndarray) -> np.ndarray:
-    """What a marker that slides does, (3, n): a constant, a steady way, one that fades over a third of the trial."""
-    t = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    return np.stack([np.ones_like(t), t, 1 - np.exp(-3 * t)])
 
 
 def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> Skin | None:
@@ -69,11 +64,11 @@ def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> Skin 
     off[~seen] = 0.0
     against = _against_rigid(shape)
     means = spans @ off.reshape(len(off), 12) @ against
-    laws = spans @ trends(time_s).T
+    laws = spans @ np.column_stack([np.ones(len(time_s)), *slides(time_s)])
     normal = np.linalg.inv(laws.T @ laws)
     fit = normal @ laws.T
     left = means - laws @ (fit @ means)
-    variance = np.sum(left**2, axis=0) / (len(spans) - len(laws.T))
+    variance = np.sum(left**2, axis=0) / (len(spans) - laws.shape[1])
     # one number's scatter over a few spans may be small by chance
     sd = np.sqrt(np.maximum(np.maximum(variance, variance.mean()), SMALLEST_SD_M**2))
     whiten = np.linalg.inv(np.linalg.cholesky(normal[1:, 1:]))

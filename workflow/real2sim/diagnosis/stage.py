@@ -164,7 +164,9 @@ def searched_as_held(
     """
 
     def cost(found: Found) -> float:
-        return cost_of_answer(*candidates_of(found[1]), found[1].samples, options["calibration"])
+        return cost_of_answer(
+            *candidates_of(found[1], options["search"]), found[1].samples, options["calibration"]
+        )
 
     if options["robot_holds"] == BALANCE:
         return searched(options=options, progress=progress, settled=True, **known), None
@@ -204,13 +206,13 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict) -> bool
     return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
 
 
-def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
-    """The plain plant and every refitted set as the decision sees them."""
-    plain, noise = Candidate((), 0, attribution.plain.chi2), sum(attribution.samples)
-    left = [(sum(h.chi2) - noise) / np.sqrt(2 * noise) for h in attribution.hypotheses]
-    return plain, [
-        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects, sd))
-        for h, sd in zip(attribution.hypotheses, left, strict=True)
+def candidates_of(attribution: Attribution, search: dict) -> tuple[Candidate, list[Candidate]]:
+    """The plain plant and every refitted set as the decision sees them; ``search``: slice ``diagnosis.search``."""
+    samples = sum(attribution.samples)
+    noise = samples + search["pair_excess_sigma"] * np.sqrt(2 * samples)
+    return Candidate((), 0, attribution.plain.chi2), [
+        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise))
+        for h in attribution.hypotheses
     ]
 
 
@@ -291,6 +293,11 @@ def diagnose(
             "shown_on": [train.name if pair.exchanged else held_out.name],
             "robot_holds": _hold(pair),
             "otherwise": _otherwise(other, options),
+            "pelvis_markers_jumped_s": {
+                folder.name: item.jumped_s
+                for folder, item in ((train, pair.train), (held_out, pair.held_out))
+                if item.jumped_s
+            },
         }
         | _answer(pair, attribution, decision, known)
         | {
@@ -312,7 +319,7 @@ def _decided(pair: Pair, attribution: Attribution, options: dict) -> Decision:
     """The decision, once the sets that it rests on have converged. Changes those hypotheses in place."""
     converged: set[int] = set()
     while True:
-        plain, sets = candidates_of(attribution)
+        plain, sets = candidates_of(attribution, options["search"])
         decision = decide(plain, sets, attribution.samples, options["calibration"])
         likeliest = decision.chosen
         if likeliest is None:

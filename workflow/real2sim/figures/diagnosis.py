@@ -59,6 +59,7 @@ _KEYS = (
     "refused_gates",
     "robot_holds",
     "otherwise",
+    "pelvis_markers_jumped_s",
     "train",
     "held_out",
     "noise_floor",
@@ -214,6 +215,10 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
         what = (
             f"{trial} is refused by its gates ({', '.join(gates)}): the answer rests on a recording in doubt."
         )
+        parts.append(paragraph(what))
+    for trial, markers in d["pelvis_markers_jumped_s"].items():
+        which = ", ".join(f"{marker} for {rounded(s)} s" for marker, s in markers.items())
+        what = f"In {trial} pelvis markers jump ({which}): there the pelvis is taken from the others. Label them again."
         parts.append(paragraph(what))
     return [part for part in parts if part != "<p></p>"]
 

@@ -1,4 +1,4 @@
-"""Pelvis markers that jump for some frames."""
+"""Markers that jump for some frames."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from real2sim import signals
-from real2sim.diagnosis.ghosts import ghosts, without_ghosts
-from real2sim.geometry import pelvis_frame
+from real2sim.diagnosis.jumps import ghosts, without_ghosts
+from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from scipy.spatial.transform import Rotation
 
 from tests.unit.test_diagnosis import PELVIS_SHAPE
@@ -52,7 +52,9 @@ def test_a_body_that_moves_and_skin_that_slides_are_no_jumps():
     for seed in range(20):
         assert not ghosts(filtered(body(), seed), RATE).any()
     trial = seen(filtered(body()))
-    assert without_ghosts(trial, RATE, SETTLE_S) is trial
+    same, jumped = without_ghosts(trial, RATE, SETTLE_S)
+    assert same is trial
+    assert jumped == {}
 
 
 @pytest.mark.parametrize("marker", range(4))
@@ -67,7 +69,9 @@ def test_a_ghost_is_put_where_its_marker_was_to_the_others(marker, axis):
     assert not np.delete(found, marker, axis=1).any()
     assert not found[:280].any()
     assert not found[330:].any()
-    mended = without_ghosts(trial, RATE, SETTLE_S)
+    mended, jumped = without_ghosts(trial, RATE, SETTLE_S)
+    assert list(jumped) == [PELVIS_MARKERS[marker]]
+    assert 0.2 < jumped[PELVIS_MARKERS[marker]] < 0.5
     # noise of the three that are left; a PSIS that jumps forward turns nothing
     for name, noise in (("pelvis_rotation", 2e-3), ("pelvis_position", 5e-4)):
         wrong, left = (np.abs(getattr(t, name) - getattr(clean, name)).max() for t in (trial, mended))
@@ -79,7 +83,9 @@ def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
     jumped = body()
     jumped[500:503, 0] += 0.02
     jumped[502:505, 3] -= 0.02
-    mended = without_ghosts(seen(filtered(jumped)), RATE, SETTLE_S)
+    mended, lasts = without_ghosts(seen(filtered(jumped)), RATE, SETTLE_S)
+    # two at once make the others doubtful too
+    assert {"ASIS_L", "PSIS_R"} <= set(lasts)
     lost = ~np.isfinite(mended.pelvis_position).all(axis=1)
     assert lost[500:505].all()
     assert lost.sum() < 40

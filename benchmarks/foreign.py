@@ -218,6 +218,8 @@ class MovedReplay(OneAxisReplay):
 class OneAxisEvidence:
     """What `JointResiduals` asks of evidence, of a one-axis trial whose noise is white."""
 
+    held_out = False
+
     def __init__(self, system: System, record: Record):
         self.record, self.mass, self.step_s = record, system.mass, system.step_s
         self._rate = rate = 1 / (record.time_s[1] - record.time_s[0])
@@ -334,6 +336,7 @@ def diagnosed(system: System, settings: dict, progress: Callable[[str], None]) -
         train.scales.q, train.scales.v, one[:6] * k, one[:6] * np.exp(z[_D]), train.scales.inertia
     )
     train.scales = held_out.scales = scales
+    held_out.held_out = True
     pair = Pair(train, held_out, bounds)
     found = attribute(pair, z, settings["search"], progress, places(scales, system.moved))
     plain, sets = candidates_of(found, settings["search"])

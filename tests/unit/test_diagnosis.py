@@ -67,7 +67,7 @@ from real2sim.diagnosis.evidence import (
     robot_noise,
 )
 from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, spikes
-from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
+from real2sim.diagnosis.refit import NO_RANGE, Hypothesis, JointResiduals
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
 from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
@@ -124,6 +124,7 @@ NEUTRAL = {
     "replay_lag": [0.0],
     "sync_offset": [0.0],
     "sync_offset with_log": [0.0],
+    "sync_offset each_trial": [0.0, 0.0],
     "clock_drift": [0.0],
     "marker_offset": [0.0] * 6,
     "marker_drift": [0.0] * 3,
@@ -326,6 +327,46 @@ def test_late_markers_are_the_plain_ones_later(plain):
     placed = Placed(effect, effect.places()[0], SCALES)
     late, _ = replay([placed]).run_effects(PRIOR[None], [np.array([[0.05]])])
     np.testing.assert_allclose(late[0, 50:], plain[0, 45:-5], atol=1e-6)
+
+
+class Recorded:
+    """What a search asks of a trial: markers that were ``late`` [s]."""
+
+    skin = None
+
+    def __init__(self, late: float, held_out: bool):
+        self.held_out = held_out
+        self.seen = replay([placed_whole("sync_offset")]).run_effects(PRIOR[None], [np.array([[late]])])[0]
+        self.samples = self.seen.size
+
+    def replay(self, effects, nsim, coarse=False):
+        model = replay(effects, nsim)
+        model._context.held_out = self.held_out
+        return model
+
+    def whitened(self, paths, joints):
+        return 2000 * (paths - self.seen).reshape(len(paths), -1)
+
+    def j(self, paths):
+        return np.zeros(len(paths))
+
+
+def test_an_offset_of_each_trial_is_fitted_to_its_own_trial():
+    """Two camera groups that are started by hand: the held-out trial says its offset itself, and nothing else."""
+    pair = Pair(Recorded(0.05, held_out=False), Recorded(-0.03, held_out=True), Bounds(PRIOR / 3, PRIOR * 3))
+    search = Search(pair, CONFIG["diagnosis"]["search"])
+    own = placed_whole("sync_offset", "each_trial")
+    found = search.fit((own,), np.concatenate([np.log(PRIOR), own.starts()[0]]))
+    np.testing.assert_allclose(own.values(found.split()[0][None])[0], [0.05, -0.03], atol=1e-4)
+    assert max(found.chi2) < 0.05 * search.samples[0]
+    both = placed_whole("sync_offset")
+    common = search.fit((both,), np.concatenate([np.log(PRIOR), both.starts()[0]]))
+    assert common.chi2[1] > 100 * found.chi2[1]
+    of_train, of_other = (
+        JointResiduals(trial, (both, own), pair.bounds).free for trial in (pair.train, pair.held_out)
+    )
+    assert list(of_train) == list(range(14))
+    assert list(of_other) == [14]
 
 
 def pelvis_at_start() -> Pose:

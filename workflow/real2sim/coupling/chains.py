@@ -27,7 +27,7 @@ class Context:
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
     ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken;
     ``pelvis_shape`` (4, 3) where the pelvis' markers are on it [m]; ``on_arm`` (3,) where the interface is on the
-    robot's arm, whose roll and pitch it turns with [m].
+    robot's arm, whose roll and pitch it turns with [m]; ``held_out``: the trial is not the one that is fitted.
     """
 
     time_s: np.ndarray
@@ -45,6 +45,7 @@ class Context:
     neutral_position: np.ndarray
     pelvis_shape: np.ndarray
     on_arm: np.ndarray
+    held_out: bool = False
 
 
 # ---------------------------------------------------------------- how the interface was seen

@@ -97,6 +97,8 @@ class Effect:
     sets the plant up otherwise and says what its markers show; ``skin`` maps values (p,) and context to ways
     (n, 4, 3) [m, pelvis] of the pelvis' markers over the bone, which the markers themselves may contradict.
     ``remedy`` says what to do about an effect that cannot be part of a model: chains and planned forces have one.
+    ``per_trial``: each trial has its own values; the first half of the parameters is the fitted trial's, the second
+    half the held-out one's, and all that acts gets one half.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Effect:
     replaces_spring: bool = False
     substeps: int = 1
     remedy: str = ""
+    per_trial: bool = False
 
     def places(self) -> list[Where]:
         """Everywhere that it can act."""
@@ -163,6 +166,12 @@ class Placed:
         """SI values (m, p) of searched numbers (m, p)."""
         log = np.array([p.log for p in self.effect.parameters], dtype=bool)
         return np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale()
+
+    def of_trial(self, *, held_out: bool) -> np.ndarray:
+        """Which of the parameters (p,) say something of the fitted trial, or of the held-out one."""
+        p = len(self.effect.parameters)
+        second = np.arange(p) >= p // 2
+        return second == held_out if self.effect.per_trial else np.ones(p, bool)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (p,) of the searched numbers."""
@@ -941,6 +950,19 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "sync_offset",
         "output",
+        "y(t - tau), tau another one in each trial: recordings that were started by hand",
+        tuple(EffectParameter(name, "s", -0.25, 0.25, (0.01,)) for name in ("offset", "offset_held_out")),
+        "T",
+        _JERK,
+        scope="whole",
+        output_chain=chains.late_markers,
+        form="each_trial",
+        per_trial=True,
+        remedy="Shift the interface markers of each trial earlier by its own offset before they are compared",
+    ),
+    Effect(
+        "sync_offset",
+        "output",
         "y(t - tau), and the robot's log as late: the pelvis alone is early",
         (EffectParameter("offset", "s", 0.0, 0.15, (0.01,)),),
         "T",
@@ -966,8 +988,8 @@ EFFECTS: tuple[Effect, ...] = (
             "filter_lag",
             "output",
             f"y low-passed by a causal filter of {name} order",
-            # above, it is a delay by another name to what a person does
-            (EffectParameter("cutoff", "Hz", 0.5, 10.0, (6.0,), log=True),),
+            # near the upper end it is a delay by another name to what a person does: both stand in the answer
+            (EffectParameter("cutoff", "Hz", 0.5, 25.0, (6.0,), log=True),),
             "T",
             "fast content near the filter's cut-off",
             scope="whole",

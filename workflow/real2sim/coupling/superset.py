@@ -132,7 +132,7 @@ class EffectReplay(Replay):
         bases = {} if bases is None else bases
         self._basis = {}
         for i, placed in chains.items():
-            reach = placed.values(np.array(placed.bounds()))
+            reach = self._own(placed, np.array(placed.bounds()))
             key = placed.key, self.drive.timestep, reach.tobytes()
             if key not in bases:
                 bases[key] = self._input_basis(placed)
@@ -182,13 +182,13 @@ class EffectReplay(Replay):
             drive = self._drive_for(*chain(values, context))
             return servo_command(drive) - zero[0], _first(drive) - zero[1]
 
-        count = len(placed.effect.parameters)
-        low, high = (placed.values(bound[None])[0] for bound in placed.bounds())
+        low, high = self._own(placed, np.array(placed.bounds()))
+        count = len(low)
         if count == 1:
             nodes = np.linspace(low[0], high[0], NODES)
             commands, starts = zip(*(changed(node[None]) for node in nodes), strict=True)
             return InputBasis(np.array(commands), np.array(starts), nodes)
-        steps = np.diag(placed.values(placed.bounds()[1][None] / 10)[0])
+        steps = np.diag(self._own(placed, placed.bounds()[1][None] / 10)[0])
         # slope and curvature of each parameter from a step either way
         both = [(changed(step), changed(-step)) for step in steps]
         parts = []
@@ -197,6 +197,10 @@ class EffectReplay(Replay):
             scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
             parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
         return InputBasis(*parts)
+
+    def _own(self, placed: Placed, x: np.ndarray) -> np.ndarray:
+        """SI values (m, p) of those of the searched numbers (m, p) that say something of this trial."""
+        return placed.values(x)[:, placed.of_trial(held_out=self._context.held_out)]
 
     def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
         frame = (self.drive.reference_rotation, self.drive.reference_origin)
@@ -267,7 +271,7 @@ class EffectReplay(Replay):
         shows them, relative to the start pose [m, rad]. A simulation that MuJoCo gave up on is NaN.
         """
         m = len(parameters)
-        values = [placed.values(part) for placed, part in zip(self.effects, x, strict=True)]
+        values = [self._own(placed, part) for placed, part in zip(self.effects, x, strict=True)]
         self._values, self._parameters = values, parameters
         if self._sightings:
             self._see(m)

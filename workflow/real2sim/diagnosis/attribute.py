@@ -181,6 +181,8 @@ class Search:
             residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP, known=tangent
         )
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds, coarse=not final)
+        if len(held_out.free):
+            z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
         # what cannot be simulated explains nothing
         judged = np.where(np.isfinite(judged), judged, FAILED)

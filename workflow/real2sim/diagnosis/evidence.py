@@ -138,9 +138,10 @@ class Evidence:
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
     and ``skin`` what the pelvis' markers say of each other. ``jumped_s`` is for how long [s] pelvis markers jumped.
     ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
-    ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`; ``threads``
-    step its simulations, see `Replay`. What input chains and noise make of the pelvis' path is kept for the
-    replays to come: ``bases``, ``draws`` as paths, ``commands`` of a time step; so are ``start_joints``.
+    ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`;
+    ``held_out``: not the trial that is fitted; ``threads`` step its simulations, see `Replay`. What input chains and
+    noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a
+    time step; so are ``start_joints``.
     """
 
     trial: Trial
@@ -169,6 +170,7 @@ class Evidence:
     starts: np.ndarray | None = None
     holds: np.ndarray | None = None
     settled: bool = False
+    held_out: bool = False
     threads: int = 1
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
     draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -199,7 +201,7 @@ class Evidence:
         steps = trial.time_s[0] + h * np.arange(len(self.drives[h].position))
         replay = EffectReplay(
             effects=effects,
-            context=replace(self.context, step_time_s=steps),
+            context=replace(self.context, step_time_s=steps, held_out=self.held_out),
             scales=self.scales,
             **replay_inputs(trial, self.limits, self.robot_file, settings),
             nsim=nsim,

@@ -59,7 +59,8 @@ def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> li
 class JointResiduals(least_squares.Residuals):
     """Whitened residuals of a trial in ln-parameters and searched numbers, with prior rows for those that have one.
 
-    ``coarse``: see `Evidence.replay`.
+    ``coarse``: see `Evidence.replay`. ``free`` are the coordinates that are fitted on this trial: not those whose
+    bounds coincide, and of the held-out one those alone that say nothing of the other.
     """
 
     def __init__(
@@ -76,6 +77,9 @@ class JointResiduals(least_squares.Residuals):
         middle, spread = _strap_prior(bounds)
         self.prior_mean = np.concatenate([middle, np.zeros(len(self.lower) - 12)])
         self.prior_sd = np.concatenate([spread, *(placed.prior_sd() for placed in effects)])
+        fitted = np.concatenate([np.ones(12, bool), *(p.of_trial(held_out=False) for p in effects)])
+        here = ~fitted if evidence.held_out else fitted
+        self.free = np.flatnonzero(here & (self.upper - self.lower > NO_RANGE))
         self.evaluations = 0
 
     def many(self, z: np.ndarray) -> np.ndarray:
@@ -160,12 +164,11 @@ def refit(
     keep: float = 0.0,
     known: least_squares.Tangent | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Best point (12 + p,) from a start and its cost, all coordinates free but those whose bounds coincide.
+    """Best point (12 + p,) from a start and its cost, all coordinates free that are fitted on this trial.
 
     ``keep``, ``known``: see `least_squares.minimise`.
     """
-    free = np.flatnonzero(residuals.upper - residuals.lower > NO_RANGE)
     z, cost, _, _ = least_squares.minimise(
-        residuals, start, free, iterations=iterations, ftol=ftol, keep=keep, known=known
+        residuals, start, residuals.free, iterations=iterations, ftol=ftol, keep=keep, known=known
     )
     return z, cost

@@ -95,6 +95,7 @@ def prepare(
     ]
     for item in evidence:
         item.settled, item.threads = settled, threads
+    evidence[1].held_out = True
     middle = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
     z = plain_fit(evidence[0], bounds, middle, options["search"])
     scales = adapted(evidence[0], np.exp(z))
@@ -575,6 +576,10 @@ def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian
+    elsewhere = JointResiduals(pair.held_out, hypothesis.effects, pair.bounds)
+    if len(elsewhere.free):
+        _, own = elsewhere.with_jacobian(hypothesis.z, elsewhere.free)
+        normal[np.ix_(elsewhere.free, elsewhere.free)] += own.T @ own
     normal[np.diag_indices_from(normal)] += 1e-9
     return np.asarray(np.linalg.inv(normal))
 

@@ -736,7 +736,7 @@ def _parameters(d: Mapping[str, Any]) -> str:
             values,
         )
     return section(
-        "parameters", "How the parameters move", '<div class="grid">', _ratio_figure(d), values, "</div>"
+        "parameters", "How the parameters move", '<div class="grid wide">', _ratio_figure(d), values, "</div>"
     )
 
 

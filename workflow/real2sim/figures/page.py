@@ -66,6 +66,7 @@ p, li, figcaption { max-width: 46rem; margin: 0.4rem 0 }
 .notice { border-left: 0.4rem solid var(--vermilion); background: var(--warn); padding: 0.6rem 1rem; max-width: none }
 .grid { display: grid; gap: 1rem 2.5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 25rem), 1fr));
   align-items: start }
+.grid.wide { grid-template-columns: repeat(auto-fit, minmax(min(100%, 33rem), 1fr)) }
 figure { margin: 0.5rem 0; min-width: 0 }
 svg.plot { display: block; width: 100%; height: auto; max-width: 36rem; fill: var(--ink) }
 svg.plot.wide { max-width: none; min-width: 46rem }

@@ -16,7 +16,7 @@ from real2sim.coupling import chains
 from real2sim.coupling.answers import Admittance, Answer, HoldIntegral, Reaction
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.coupling.mechanisms import PlannedForce, Scales, Where, bouc_wen
+from real2sim.coupling.mechanisms import PlannedForce, Scales, Where, bouc_wen, eyring, maxwell
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, impedances, robot_pose_for
 from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
@@ -130,6 +130,7 @@ NEUTRAL = {
     "marker_drift": [0.0] * 3,
     **{f"marker_drift {marker.lower()}": [0.0] * 6 for marker in PELVIS_MARKERS},
     "slack": [-20.0],
+    "relaxation _flow": [-20.0, 0.0, 0.0],
     "slack _soft": [-20.0, 0.5],
 }
 
@@ -956,6 +957,43 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         "parameters": {"k_tx": {"value": 700.0}, "d_ry": {"value": 3.0}},
     }
     return truth, target
+
+
+def test_an_eyring_dashpot_flows_by_its_law_at_small_and_at_large_stretch():
+    step, seconds = 0.002, 6.0
+    q = 0.5 * np.arange(0, seconds, step)
+    stiffness, time, length = 700.0, 1.2, 0.004
+    r = 2 * length / (time * np.sinh(2.0))
+    force = eyring(np.array([[stiffness, time, length]]), q, step)[0]
+    # at a steady rate the spring is stretched until the dashpot follows
+    assert force[-1] == pytest.approx(stiffness * length * np.arcsinh(0.5 / r), rel=0.03)
+    # stretched by a fraction of its length it is linear
+    little = 1e-5 * np.sin(np.arange(0, seconds, step))
+    slow = maxwell(np.array([[stiffness, length / r]]), little, step)
+    np.testing.assert_allclose(eyring(np.array([[stiffness, time, length]]), little, step), slow, atol=1e-8)
+    # let alone at two lengths it begins to fade as the linear one of its time constant does
+    jump = np.where(np.arange(0, 0.1, step) > 0, 2 * length, 0.0)
+    both = (
+        eyring(np.array([[stiffness, time, length]]), jump, step)[0],
+        maxwell(np.array([[stiffness, time]]), jump, step)[0],
+    )
+    assert both[0][2] - both[0][1] == pytest.approx(both[1][2] - both[1][1], rel=0.02)
+
+
+def test_what_a_flowing_branch_plans_is_what_it_differs_from_its_linear_one():
+    """Along the measured coordinate: nothing for a branch that is never stretched far from two lengths' flow."""
+    model = replay([])
+    context, where = model._context, Where((1,), 0, "_flow", "relaxation")
+    flow = next(e for e in EFFECTS if (e.name, e.form) == ("relaxation", "_flow")).plant
+    values = np.array([[900.0, 0.4, 0.004], [900.0, 0.4 * 2.0 / np.sinh(2.0), 10.0]])
+    planned = flow.force(values, context, where, np.tile(PRIOR, (2, 1)))
+    assert planned.shape == (2, len(context.step_time_s), 1)
+    q = np.interp(context.step_time_s, context.time_s, context.coordinates[:, 1])
+    step = context.step_time_s[1] - context.step_time_s[0]
+    branch = maxwell(values[:, :2], q, step) - planned[:, :, 0]
+    np.testing.assert_allclose(branch, eyring(values, q, step), atol=0.02 * np.abs(branch).max())
+    # the long one is linear, with the time constant of small stretches
+    np.testing.assert_allclose(branch[1], maxwell(np.array([[900.0, 0.4]]), q, step)[0], atol=1e-3)
 
 
 def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue():

@@ -28,6 +28,7 @@ from real2sim.coupling.mechanisms import (
     Elastoplastic,
     EvenSpring,
     ExponentialSpring,
+    FlowingMaxwell,
     GentleStop,
     GentleStops,
     HangingMass,
@@ -465,6 +466,25 @@ EFFECTS: tuple[Effect, ...] = (
         _HOLDS,
         plant=TwoTimes(),
         form="_two_times",
+    ),
+    Effect(
+        "relaxation",
+        "interface",
+        "F1 = k1 e, e' = qdot - r sinh(e / length), r = 2 length / (time_constant sinh 2): an Eyring dashpot",
+        (
+            # stiffer and shorter it would be friction by another name
+            EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 8.0, (0.5, 3.0), _k, log=True),
+            EffectParameter("time_constant", "s", 0.03, 5.0, (0.4, 0.1), log=True),
+            EffectParameter("length", "m|rad", 0.12, 3.0, (0.3,), _q, log=True),
+        ),
+        "V",
+        _HOLDS,
+        plant=FlowingMaxwell(),
+        form="_flow",
+        remedy=(
+            "Add to the strap's joint the force of a linear branch of this stiffness and time constant less that of the"
+            " equation, both along its coordinate (the branch itself is in the model)"
+        ),
     ),
     Effect(
         "creep",

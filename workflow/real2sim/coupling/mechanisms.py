@@ -971,6 +971,69 @@ class BoucWen(PlannedForce):
         return (self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[0]
 
 
+class FlowingMaxwell(PlannedForce):
+    """A spring in series with a dashpot that flows the easier the more it carries, values (m, 3) of `eyring`.
+
+    MuJoCo has no such dashpot. A linear one of the same time constant answers to the simulated motion; what the law
+    differs from it is planned along the measured coordinate.
+    """
+
+    def __init__(self):
+        super().__init__(self._difference)
+        self._linear = Maxwell()
+
+    def build(self, spec, where):
+        """Hidden slide, tendon and motor."""
+        self._linear.build(spec, where)
+        super().build(spec, where)
+
+    def set(self, fields, where, parameters, values):
+        """The linear branch."""
+        self._linear.set(fields, where, parameters, values)
+
+    def relax(self, fields: Fields, where: Where, position: np.ndarray) -> None:
+        """As of `Maxwell`."""
+        self._linear.relax(fields, where, position)
+
+    @staticmethod
+    def _difference(values, context, where, parameters):
+        q = CubicSpline(context.time_s, context.coordinates[:, where.axes[0]])(context.step_time_s)
+        step = context.step_time_s[1] - context.step_time_s[0]
+        return (maxwell(values[:, :2], q, step) - eyring(values, q, step))[:, :, None]
+
+
+def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
+    """Force (m, n) of a spring and a linear dashpot in series, values (m, 2) are stiffness and time constant.
+
+    Along a coordinate (n,) that they rest at the start of.
+    """
+    stiffness, time = values.T
+    fades = np.exp(-step_s / time)
+    stretch = np.zeros((len(q), len(values)))
+    for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
+        now[:] = (last + way) * fades
+    return np.asarray((stiffness * stretch).T)
+
+
+# Stretch in lengths at which a flowing dashpot is as fast as the linear one of its time constant
+_AS_LINEAR = 2.0
+
+
+def eyring(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
+    """Force (m, n) of a spring and an Eyring dashpot in series along a coordinate (n,) that they rest at the start of.
+
+    Stiffness, time constant of a stretch of two lengths, and length l, values (m, 3). The stretch e follows
+    e' = q' - r sinh(e / l). Between steps tanh(e / 2 l) fades as exp(-r t / l), whatever the step. Source: Eyring,
+    J. Chem. Phys. 4 (1936) 283.
+    """
+    stiffness, time, length = values.T
+    fades = np.exp(-step_s * _AS_LINEAR / np.sinh(_AS_LINEAR) / time)
+    stretch = np.zeros((len(q), len(values)))
+    for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
+        now[:] = 2 * length * np.arctanh(np.tanh((last + way) / (2 * length)) * fades)
+    return np.asarray((stiffness * stretch).T)
+
+
 def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Force z (m, n) of stiffness k, loading b + g and dissipation b, values (m, 3), along a coordinate (n,).
 

@@ -19,6 +19,7 @@ from real2sim.coupling.mechanisms import (
     DrivenForce,
     DryFriction,
     Fields,
+    FlowingMaxwell,
     Maxwell,
     PlannedForce,
     RestShift,
@@ -436,7 +437,7 @@ class EffectReplay(Replay):
         joints, adr, dofs = self._chain
         position, velocity = self._state(m)
         for placed in self.effects:
-            if isinstance(placed.effect.plant, Maxwell):
+            if isinstance(placed.effect.plant, (Maxwell, FlowingMaxwell)):
                 placed.effect.plant.relax(fields, placed.where, position)
         springs = fields["qpos_spring"]
         springs[:, adr] = position[:, adr]

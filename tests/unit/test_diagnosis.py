@@ -51,6 +51,7 @@ from real2sim.diagnosis.decide import (
     NONE,
     UNKNOWN,
     Candidate,
+    Decision,
     cost_of_answer,
     decide,
     further_price,
@@ -1717,6 +1718,44 @@ def test_what_explains_nearly_all_needs_no_refit_of_what_promises_a_tenth_of_it(
     shortlist += [_promise(places["preload"], 40_000.0), _promise(places["lugre"], 40_000.0)]
     _alone(search, shortlist, plain, settings, quiet=False)
     assert search.refitted == [*first, *([] if skipped else ["preload"]), "lugre"]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "verdict"),
+    [
+        ("unknown", "joint_limit", "joint_limit"),
+        ("unknown", "unknown", "unknown"),
+        ("unknown", "none", "unknown"),
+        ("slack", "joint_limit", "slack"),
+    ],
+)
+def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, tmp_path, first, second, verdict):
+    """Stops that the first trial hardly reaches were `unknown` 0.81 of it, and `joint_limit` 0.95 of the second."""
+    pair = SimpleNamespace(exchanged=False, train=SimpleNamespace(settled=True))
+    asked = []
+
+    def prepared(**known):
+        asked.append(known)
+        return pair, np.zeros(12)
+
+    def decision(pair, attribution, options):
+        return Decision({}, np.zeros(1), attribution, (), None if attribution in ("unknown", "none") else 0)
+
+    monkeypatch.setattr(stage, "searched_as_held", lambda **known: ((pair, first), None))
+    monkeypatch.setattr(stage, "prepare", prepared)
+    monkeypatch.setattr(stage, "attribute", lambda *args, **known: second)
+    monkeypatch.setattr(stage, "_decided", decision)
+    one, other = tmp_path / "dynamic_1", tmp_path / "dynamic_2"
+    _, found, _, the_other_way = stage.decided(
+        train=one, held_out=other, options=CONFIG["diagnosis"], progress=lambda text: None, robot=ROBOT
+    )
+    assert found.verdict == verdict
+    assert the_other_way is (first == "unknown" and second == "joint_limit")
+    # as the robot was held before, and not at all where something was named
+    expected = (
+        [{"train": other, "held_out": one, "settled": True, "robot": ROBOT}] if first == "unknown" else []
+    )
+    assert asked == expected
 
 
 @pytest.mark.parametrize(

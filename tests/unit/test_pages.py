@@ -76,6 +76,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "robot_holds": "start pose",
         "otherwise": None,
         "pelvis_markers_jumped_s": {},
+        "fitted_the_other_way": False,
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
         "noise_floor": {
@@ -247,6 +248,16 @@ def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_pa
     # chi-squared of the trial that shows the gap, the first of the two
     assert "the plain model 9 and the model with the effect 1.1" in text
     assert "leaves more than noise: effects" not in _page(tmp_path, _diagnosis()).text
+
+
+def test_page_says_that_the_other_trial_was_fitted_where_nothing_explained_it(tmp_path):
+    other_way = {"train": ["dynamic_2"], "held_out": ["dynamic_1"], "shown_on": ["dynamic_1"]}
+    text = _page(tmp_path, _diagnosis(fitted_the_other_way=True, **other_way)).text
+    assert (
+        "Nothing that was fitted to dynamic_1 explains dynamic_2. Effects were fitted to dynamic_2 instead"
+        in text
+    )
+    assert "Nothing that was fitted" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):

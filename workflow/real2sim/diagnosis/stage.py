@@ -179,6 +179,34 @@ def searched_as_held(
     return (at_rest, let_go) if cost(at_rest) < cost(let_go) else (let_go, at_rest)
 
 
+def decided(
+    *, train: Path, held_out: Path, options: dict, progress: Callable[[str], None], **known: Any
+) -> tuple[Found, Decision, Found | None, bool]:
+    """What was found, the decision, what was found for the other hold, and whether the trials changed places for it.
+
+    They do where nothing that was fitted to the training trial explains the other, and something that is fitted to the
+    other explains the training trial: a stop that the first hardly reaches is told by the second alone. Arguments as of
+    `searched_as_held`.
+    """
+    found, other = searched_as_held(
+        train=train, held_out=held_out, options=options, progress=progress, **known
+    )
+    decision = _decided(*found, options)
+    pair = found[0]
+    if decision.verdict != UNKNOWN or pair.exchanged:
+        return found, decision, other, False
+    progress(f"nothing fitted to {train.name} explains {held_out.name}: searched once more the other way")
+    pair, z = prepare(train=held_out, held_out=train, settled=pair.train.settled, **known)
+    again = (
+        pair,
+        attribute(pair, z, options["search"], progress, calibration=options["calibration"]),
+    )
+    second = _decided(*again, options)
+    if second.chosen is None:
+        return found, decision, other, False
+    return again, second, other, True
+
+
 def _otherwise(found: Found | None, options: dict) -> dict[str, Any] | None:
     """What the answer would be if the robot's controller held otherwise; None where that was not searched."""
     if found is None:
@@ -252,7 +280,7 @@ def diagnose(
         That simulate. The answer is the same bits with any number.
 
     Where the trials look as if the robot had been at rest (`looks_settled`), that is searched too, and the answer taken
-    that leaves less for its price.
+    that leaves less for its price. Where the answer would be `unknown`, the trials change places (`decided`).
     """
 
     def progress(text: str) -> None:
@@ -260,7 +288,7 @@ def diagnose(
 
     settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
     options = settings["diagnosis"]
-    (pair, attribution), other = searched_as_held(
+    (pair, attribution), decision, other, the_other_way = decided(
         train=train,
         held_out=held_out,
         neutral=neutral,
@@ -271,9 +299,8 @@ def diagnose(
         options=options,
         progress=progress,
     )
-    if pair.exchanged:
+    if pair.exchanged or the_other_way:
         train, held_out = held_out, train
-    decision = _decided(pair, attribution, options)
     progress(f"verdict {decision.verdict}")
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:
@@ -292,6 +319,7 @@ def diagnose(
             "train": [train.name],
             "held_out": [held_out.name],
             "shown_on": [train.name if pair.exchanged else held_out.name],
+            "fitted_the_other_way": the_other_way,
             "robot_holds": _hold(pair),
             "otherwise": _otherwise(other, options),
             "pelvis_markers_jumped_s": {

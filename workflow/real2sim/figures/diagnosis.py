@@ -60,6 +60,7 @@ _KEYS = (
     "robot_holds",
     "otherwise",
     "pelvis_markers_jumped_s",
+    "fitted_the_other_way",
     "train",
     "held_out",
     "noise_floor",
@@ -241,10 +242,15 @@ def _shown(d: Mapping[str, Any]) -> list[str]:
 
 
 def _exchanged(d: Mapping[str, Any]) -> str:
-    """Why the trial with the gap was fitted, where that is so."""
+    """Why the other trial was fitted, where that is so."""
+    fitted, other = _trials(d["train"]), _trials(d["held_out"])
+    if d["fitted_the_other_way"]:
+        return (
+            f"Nothing that was fitted to {other} explains {fitted}. Effects were fitted to {fitted} instead, and had "
+            f"to foretell {other}: the gap is told of that one."
+        )
     if _shown(d) == d["held_out"]:
         return ""
-    fitted, other = _trials(d["train"]), _trials(d["held_out"])
     return (
         f"Only {fitted} leaves more than noise: effects were fitted on it and had to leave {other} as it is. How far a "
         "gap shrinks is told of the trial that was fitted; one more of its kind would check it."

@@ -1009,10 +1009,7 @@ def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     """
     stiffness, time = values.T
     fades = np.exp(-step_s / time)
-    stretch = np.zeros((len(q), len(values)))
-    for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
-        now[:] = (last + way) * fades
-    return np.asarray((stiffness * stretch).T)
+    return stiffness[:, None] * _stretched(q, lambda e: e * fades, len(values))
 
 
 # Stretch in lengths at which a flowing dashpot is as fast as the linear one of its time constant
@@ -1028,10 +1025,18 @@ def eyring(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     """
     stiffness, time, length = values.T
     fades = np.exp(-step_s * _AS_LINEAR / np.sinh(_AS_LINEAR) / time)
-    stretch = np.zeros((len(q), len(values)))
+    both = 2 * length
+    return stiffness[:, None] * _stretched(
+        q, lambda e: both * np.arctanh(np.tanh(e / both) * fades), len(values)
+    )
+
+
+def _stretched(q: np.ndarray, flown: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
+    """Stretches (count, n) of springs along a coordinate (n,): ``flown`` is what a step leaves of them, (count,)."""
+    stretch = np.zeros((len(q), count))
     for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
-        now[:] = 2 * length * np.arctanh(np.tanh((last + way) / (2 * length)) * fades)
-    return np.asarray((stiffness * stretch).T)
+        now[:] = flown(last + way)
+    return stretch.T
 
 
 def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+from real2sim.batches import untimed_batch
 from real2sim.configuration import read_yaml, validated
 from real2sim.coupling.drive import pelvis_drive
 from real2sim.coupling.plant import (
@@ -250,3 +252,17 @@ def test_robot_too_light_for_the_time_step_is_refused(tmp_path):
     with pytest.raises(InputError, match="inertia too small"):
         replay_of(smooth_motion(1.0), robot=own).check_bounds(np.full(6, 500.0))
     replay_of(smooth_motion(1.0)).check_bounds(np.array([1000, 500, 500, 15, 15, 15.0]))
+
+
+def test_a_simulation_that_diverges_says_nothing_and_leaves_no_file(capfd, tmp_path, monkeypatch):
+    """One suite wrote 3 246 such lines, and a MUJOCO_LOG.TXT into the folder it was started from."""
+    monkeypatch.chdir(tmp_path)
+    stiff = """<mujoco><worldbody><body><joint type="slide" stiffness="1e7" damping="0"/>
+    <geom size=".1" mass=".001"/></body></worldbody><option timestep="0.01"/></mujoco>"""
+    batch = untimed_batch(mujoco.MjModel.from_xml_string(stiff), 2, 2)
+    batch.bind("qpos")[:] = 1.0
+    batch.rollout(300, np.zeros((2, 300, 0)), record=("qpos",), ids=np.arange(2))
+    assert capfd.readouterr() == ("", "")
+    assert list(tmp_path.iterdir()) == []
+    mujoco.get_mju_user_warning()("Too many contacts.")
+    assert "Too many contacts." in capfd.readouterr().err

@@ -127,6 +127,7 @@ class EffectReplay(Replay):
         self._values: list[np.ndarray] = []
         self._parameters = np.empty((0, 12))
         self._beside = np.zeros((self._batch.nsim, 6))
+        self._swaying = np.zeros((self._batch.nsim, 6))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
         chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
@@ -257,9 +258,12 @@ class EffectReplay(Replay):
             centre[k, pelvis] = origin[k, site] = -pose.rest.position
             spring[k, model.jnt_qposadr[self._robot_joints]] = pose.joints
 
-    def hold_beside(self, shifts: np.ndarray) -> None:
-        """Let the controller of a robot at rest hold beside the balance, (nsim, 6) [m, rad] by robot joint."""
-        self._beside[:] = shifts
+    def hold_beside(self, shifts: np.ndarray, rates: np.ndarray) -> None:
+        """Let the controller of a robot at rest hold beside the balance, and the robot not be quite at rest.
+
+        ``shifts`` [m, rad] and ``rates`` [m/s, rad/s], (nsim, 6) by robot joint.
+        """
+        self._beside[:], self._swaying[:] = shifts, rates
 
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another pelvis command (nstep, 6) from now on."""
@@ -453,6 +457,10 @@ class EffectReplay(Replay):
             given = self._jacobian(batch.get_model(k), position[k])
             follow = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
             pulled = force[k, dofs] + follow.T @ force[k, self._dofs]
+            moving = np.zeros(model.nv)
+            moving[model.jnt_dofadr[self._robot_joints]] = self._swaying[k]
+            velocity[k] += moving
+            velocity[k, self._dofs] += follow @ moving[dofs]
             springs[k, adr] -= np.where(stiffness[k] > 0, pulled / np.maximum(stiffness[k], 1e-9), 0.0)
         springs[:, model.jnt_qposadr[self._robot_joints]] += self._beside[:m]
         self._reset_to([position, velocity])

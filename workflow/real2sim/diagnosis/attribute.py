@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.stats import qmc
 
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import Scales, TwoTimes
@@ -39,6 +40,10 @@ NEARLY_ALL, FAR_BEHIND = 0.05, 10.0
 WEAKENINGS = 3
 # Strengths beyond an effect's own starts that are tried by their cost alone
 STRENGTHS = 5
+# A law of so many constants has more than one valley
+MANY = 3
+# ln-range about a fitted constant in which that of another law is drawn
+NEAR = 1.0
 # Effects that take each other's place in a fit
 RIVALS = (
     ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit"),
@@ -257,6 +262,27 @@ class Search:
         best = int(np.argmin(costs))
         return z[best], float(costs[best])
 
+    def drawn(self, law: Placed, beside: Hypothesis, count: int) -> np.ndarray:
+        """``count`` starts (s, n) of a law in place of a single one, beside its strap: drawn, best first by their cost.
+
+        Constants that both have by name are drawn about the fitted ones, the others within their bounds.
+        """
+        lower, upper = law.bounds()
+        known = dict(
+            zip((p.name for p in beside.effects[0].effect.parameters), beside.split()[0], strict=True)
+        )
+        for i, parameter in enumerate(law.effect.parameters):
+            if parameter.log and parameter.name in known:
+                near = known[parameter.name] + np.array([-1, 1]) * NEAR
+                lower[i], upper[i] = np.clip(near, lower[i], upper[i])
+        points = qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
+        strap = np.tile(beside.z[:12], (count, 1))
+        z = np.hstack([strap, lower + points * (upper - lower)])
+        costs = self._residuals((law,)).costs(z)
+        self.evaluations += len(z)
+        order = np.argsort(np.where(np.isfinite(costs), costs, FAILED), kind="stable")
+        return z[order]
+
     @property
     def _middle(self) -> tuple[np.ndarray, np.ndarray]:
         """Middles (6,) of the ranges of ln-stiffness and ln-damping."""
@@ -452,6 +478,7 @@ def attribute(
     hypotheses = _other_forms(search, hypotheses, singles, plain)
     if not quiet:
         hypotheses = _other_laws(search, hypotheses, everything, settings)
+        hypotheses = _redrawn(search, hypotheses, everything, settings)
     hypotheses[0] = _converged(search, plain, hypotheses[0], settings)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
@@ -594,6 +621,30 @@ def _other_laws(
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
     tried = [search.fit(effects, z) for effects, z, _ in starts]
     return sorted([*found, *tried], key=lambda h: sum(h.chi2))
+
+
+def _redrawn(
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict
+) -> list[Hypothesis]:
+    """Single effects, and on the axis of the best its law and rivals of many constants, refitted from drawn starts.
+
+    A law of friction with a slope, a travel and a fall has more than one valley, and a few starts may miss the deepest.
+    """
+    best = found[0]
+    if len(best.effects[0].where.axes) != 1 or not settings["redraws"]:
+        return found
+    laws = [
+        p
+        for p in places
+        if len(p.effect.parameters) >= MANY
+        and _rivals(best.effects[0], p)
+        and _same_place(best.effects[0], p)
+    ]
+    out = list(found)
+    for law in laws:
+        starts = search.drawn(law, best, settings["redraws"])
+        out += [search.fit((law,), z) for z in starts[: settings["redraw_refits"]]]
+    return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:

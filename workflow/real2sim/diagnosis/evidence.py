@@ -19,11 +19,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.fft import dct, idct
+from scipy.linalg import block_diag
 from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from real2sim import signals
+from real2sim.artefacts import read_json
 from real2sim.coupling.chains import Context, Elsewhere
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
@@ -62,6 +65,12 @@ from real2sim.quality.markers import MARKERS, distances, stacked
 # What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
 ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
+# How late a log's stamps are beside what they say, SD [s], and how well the size of wheels is known, SD: one number a
+# trial each (systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869)
+LOG_LATENCY_S = 0.001
+ODOMETRY_SCALE_SD = 0.005
+# Above this the log's own motion is lost in its noise
+LOG_CUTOFF_HZ = 5.0
 # The pelvis path is never smoothed below this; noise is never taken as smaller than that
 LOWEST_CUTOFF_HZ = 3.0
 # Most parts of a time step while a cause is only searched for
@@ -78,8 +87,9 @@ LEAST_TELLING = 0.01
 _SLOW_POWERS = np.geomspace(0.3, 3000, 30)
 _SLOW_CORNERS_HZ = np.geomspace(0.05, 3.0, 20)
 _SLOW_FALLS, _MOST_PARTS = (2, 8), 2
-# Where a moving person hardly moves
-QUIET_BAND_HZ = (7.0, 10.0)
+# Where a moving person hardly moves, and how sure it has to be that a log is louder there than that of standing
+QUIET_BANDS_HZ = ((7.0, 10.0), (10.0, 14.0))
+_LOUDER = 0.99
 # A strap that rests elsewhere along one axis, and a robot that starts elsewhere
 _RESTS = [
     (effect, where)
@@ -137,7 +147,10 @@ class Evidence:
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
     and ``skin`` what the pelvis' markers say of each other. ``jumped_s`` is for how long [s] pelvis markers jumped.
-    ``hold_sd`` is how far beside the balance a robot at rest may hold and ``holds`` what it does (`hold_uncertainty`).
+    ``hold_sd`` (2, 6) is how far beside the balance a robot at rest may hold and how fast it may move at the start, and
+    ``holds`` what either does (`hold_uncertainty`).
+    ``log_offset_sd_s`` is how well the log's clock is known; ``unknowns`` (k, n_r) are directions of unit length among
+    the whitened residuals, and ``discounts`` (k,) the share of each that is put down to what nobody knows (`_unknown`).
     ``settled``: the robot's controller holds where it balances the strap at the start, see `EffectReplay`;
     ``held_out``: not the trial that is fitted; ``threads`` step its simulations, see `Replay`. What input chains and
     noise make of the pelvis' path is kept for the replays to come: ``bases``, ``draws`` as paths, ``commands`` of a
@@ -160,6 +173,7 @@ class Evidence:
     rest_sd: np.ndarray
     hold_sd: np.ndarray
     let_go: np.ndarray
+    log_offset_sd_s: float
     pelvis_cutoff_hz: float
     skin: Skin | None = None
     jumped_s: dict[str, float] = field(default_factory=dict)
@@ -169,6 +183,8 @@ class Evidence:
     rests: np.ndarray | None = None
     starts: np.ndarray | None = None
     holds: np.ndarray | None = None
+    unknowns: np.ndarray | None = None
+    discounts: np.ndarray | None = None
     settled: bool = False
     held_out: bool = False
     threads: int = 1
@@ -268,6 +284,13 @@ class Evidence:
 
     def whiten(self, error: np.ndarray) -> np.ndarray:
         """As `whitened`, from residuals (m, n, c)."""
+        assert self.unknowns is not None
+        assert self.discounts is not None
+        out = self._in_noise(error)
+        return out - (out @ self.unknowns.T * self.discounts) @ self.unknowns
+
+    def _in_noise(self, error: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) in units of what noise of markers and log leaves of them, from residuals (m, n, c)."""
         assert self.whiteners is not None
         coefficients = self.spectrum(error)
         band = self.band_of(error.shape[1])
@@ -298,7 +321,8 @@ class Evidence:
         """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
         n = len(self.trial.time_s)
         self.rests, self.starts, self.holds = self._elsewhere(parameters)
-        self.noise = error = self._noise(parameters, draws, seed)
+        error, unknown = self._noise(parameters, draws, seed)
+        self.noise = error + unknown
         coefficients = self.spectrum(error)
         band = self.band_of(n)
         whiteners = []
@@ -307,6 +331,11 @@ class Evidence:
             covariance = rows.T @ rows / max(len(rows), 1) + np.diag(self._floor**2)
             whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         self.whiteners = np.array(whiteners)
+        # noise and unknowns together are white after this: the inverse root of 1 + X' X
+        _, sizes, self.unknowns = np.linalg.svd(
+            self._in_noise(self._unknown(seed, draws)), full_matrices=False
+        )
+        self.discounts = 1 - 1 / np.sqrt(1 + sizes**2)
 
     @property
     def _floor(self) -> np.ndarray:
@@ -325,8 +354,8 @@ class Evidence:
 
         Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
         """
-        error = self._noise(parameters, draws, seed, effects, x)
-        return np.sum(self.whiten(error) ** 2, axis=1)
+        error, unknown = self._noise(parameters, draws, seed, effects, x)
+        return np.sum(self.whiten(error + unknown) ** 2, axis=1)
 
     def _noise(
         self,
@@ -335,22 +364,48 @@ class Evidence:
         seed: int,
         effects: Sequence[Placed] = (),
         x: Sequence[np.ndarray] = (),
-    ) -> np.ndarray:
-        """Residuals (draws, n, c) of a perfect model: only the noise of markers and of the replayed pelvis."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (draws, n, c) of a perfect model: noise of markers, replayed pelvis and log; what nobody knows."""
         replay = self.replay(list(effects), draws + 1, coarse=True)
         self._shake(replay, draws, seed)
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
         rng = np.random.default_rng([seed, draws])
         logged = self.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
+        unknown = self._unknown(seed, draws)
+        drawn = np.tensordot(rng.standard_normal((draws, len(unknown))), unknown, axes=1)
+        return self._without_gaps(error), drawn
+
+    def _unknown(self, seed: int, draws: int) -> np.ndarray:
+        """What one SD of each constant that nobody knows does to the residuals (k, n, c).
+
+        Where strap rests, robot starts and controller holds, when the log was written and how far the wheels roll: each
+        is one number for the whole trial and no noise that comes and goes.
+        """
         assert self.rests is not None
         assert self.starts is not None
         assert self.holds is not None
-        for poses in (self.rests, self.holds):
-            error = error + np.tensordot(rng.standard_normal((draws, len(poses))), poses, axes=1)
-        misjudged = self._misjudged(markers) + rng.standard_normal((draws, len(self.let_go))) @ self.let_go
-        error = error + np.tensordot(misjudged, self.starts, axes=1)
-        return self._without_gaps(error)
+        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        misjudged = self._misjudged(markers)
+        covariance = misjudged.T @ misjudged / draws + self.let_go.T @ self.let_go
+        values, axes = np.linalg.eigh(covariance)
+        roots = np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
+        started = np.tensordot(roots, self.starts, axes=1)
+        parts = [self.rests, started, self.holds]
+        if self.robot is not None:
+            parts.append(self._log_unknown())
+        return self._without_gaps(np.concatenate(parts))
+
+    def _log_unknown(self) -> np.ndarray:
+        """What a late log and wheels of another size, by one SD each, do to the residuals (3, n, c)."""
+        assert self.robot is not None
+        h = float(self.trial.time_s[1] - self.trial.time_s[0])
+        path = signals.lowpass(signals.bridged(self.robot), 1 / h, LOG_CUTOFF_HZ, 4)
+        out = np.zeros((3, len(path), self.channels))
+        out[0, :, 6:] = np.hypot(self.log_offset_sd_s, LOG_LATENCY_S) * np.gradient(path, h, axis=0)
+        out[1, :, 6:8] = ODOMETRY_SCALE_SD * path[:, :2]
+        out[2, :, 8] = ODOMETRY_SCALE_SD * path[:, 2]
+        return out
 
     def _misjudged(self, markers: np.ndarray) -> np.ndarray:
         """How far noise (draws, n, 2, 3) [m] of the markers moves and turns the start pose: (draws, 6) [m, rad]."""
@@ -366,14 +421,14 @@ class Evidence:
         """
         effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
         effects.append(Placed(_START, Where((), 0, "", _START.name), self.scales))
-        beside = np.diag(self.hold_sd) if self.settled else np.empty((0, 6))
-        m = 1 + 2 * 6 + len(beside)
+        off = block_diag(*map(np.diag, self.hold_sd)) if self.settled else np.empty((0, 12))
+        m = 1 + 2 * 6 + len(off)
         x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]
         for i, placed in enumerate(effects[:6]):
             x[i][1 + i] = self.rest_sd[placed.where.axes[0]] / placed.values(np.ones((1, 1)))
         x[6][7:13] = _START_STEP * np.eye(6)
         replay = self.replay(effects, m, coarse=True)
-        replay.hold_beside(np.concatenate([np.zeros((13, 6)), beside]))
+        replay.hold_beside(*np.hsplit(np.concatenate([np.zeros((13, 12)), off]), 2))
         paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
         out = paths.reshape(m, -1, 6)
         if self.robot is not None:
@@ -575,12 +630,18 @@ def load_evidence(
     skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape)
     standing = neutral / "pose.parquet"
     held = impedances(settings["robot"], "hold")
-    of_poses = rest_uncertainty(standing, rate), hold_uncertainty(standing, rate, twin, held)
+    hold = hold_uncertainty(standing, folder / "pose.parquet", start, rate, twin, held)
+    of_poses = rest_uncertainty(standing, rate), hold
     of_channels = (sd, colour, log_sd, *of_poses)
-    last = let_go, cutoff, skin, jumped
+    last = let_go, log_offset_sd(folder / "quality.json"), cutoff, skin, jumped
     return Evidence(
         trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, *last
     )
+
+
+def log_offset_sd(quality: Path) -> float:
+    """SD [s] of the robot log's clock against the markers', from quality.json; 0 for an edge that both have seen."""
+    return float((read_json(quality).get("robot") or {}).get("offset_sd_s") or 0.0)
 
 
 def _without_filled(interface: np.ndarray, markers: Path, rate_hz: float) -> np.ndarray:
@@ -783,18 +844,21 @@ def rest_uncertainty(pose: Path, rate_hz: float) -> np.ndarray:
 
 
 def hold_uncertainty(
-    pose: Path, rate_hz: float, robot: mujoco.MjModel, held: dict[str, dict[str, float]]
+    standing: Path,
+    trial: Path,
+    start: int,
+    rate_hz: float,
+    robot: mujoco.MjModel,
+    held: dict[str, dict[str, float]],
 ) -> np.ndarray:
-    """How far (6,) [m, rad] beside the balance with the strap a controller may hold, by robot joint: SD.
+    """How far [m, rad] beside the balance a controller may hold and how fast the robot may move: SD (2, 6) by joint.
 
     A person who sways pulls at a robot that has come to rest, and its damping and inertia take a part of the pull: it
-    is never quite in balance. By how much the interface moves from second to second of ``pose`` (pose.parquet of the
-    neutral trial). ``held`` as from `impedances`.
+    is never quite in balance, and never quite at rest. By how much the interface moves from second to second of
+    ``standing`` (pose.parquet of the neutral trial); its rate also as the first ``start`` samples of ``trial``'s
+    pose.parquet show it. ``held`` as from `impedances`.
     """
-    table, second = pq.read_table(pose), round(rate_hz)
-    place = signals.bridged(np.column_stack([table[f"interface_{c}"].to_numpy() for c in "xyz"]))
-    turn = _vectors(_rotations(table, "interface"))
-    path = np.column_stack([place[:, :2], turn[:, 2], place[:, 2], turn[:, :2]])
+    path, second = _interface_path(standing), round(rate_hz)
     means = path[: len(path) // second * second].reshape(-1, second, 6).mean(axis=1)
     speed = np.sqrt(np.mean(np.diff(means, axis=0) ** 2, axis=0))
     acceleration = speed**2 / np.maximum(means.std(axis=0), 1e-9)
@@ -803,21 +867,39 @@ def hold_uncertainty(
     mujoco.mj_fullM(robot, data, mass)
     inertia = np.diag(mass)[[robot.joint(name).dofadr[0] for name in ROBOT_JOINTS]]
     stiffness, damping = (np.array([held[j][key] for j in ROBOT_JOINTS]) for key in ("stiffness", "damping"))
-    return np.asarray(np.hypot(damping * speed, inertia * acceleration) / stiffness)
+    first = np.polyfit(np.arange(start) / rate_hz, _interface_path(trial)[:start], 1)[0]
+    beside = np.hypot(damping * speed, inertia * acceleration) / stiffness
+    return np.array([beside, np.hypot(speed, first)])
+
+
+def _interface_path(pose: Path) -> np.ndarray:
+    """Place and small turns (n, 6) [m, rad] of the interface, in the order of the robot's joints, of pose.parquet."""
+    table = pq.read_table(pose)
+    place = signals.bridged(np.column_stack([table[f"interface_{c}"].to_numpy() for c in "xyz"]))
+    turn = _vectors(_rotations(table, "interface"))
+    return np.column_stack([place[:, :2], turn[:, 2], place[:, 2], turn[:, :2]])
 
 
 def robot_noise(neutral: Path, trial: Path, rate_hz: float) -> np.ndarray:
     """SD (6,) of the white noise of the robot's log [m, rad]: as quiet standing shows it between 3 and 7 Hz.
 
-    Where ``neutral`` has no log, as the trial itself shows it between 7 and 10 Hz, where hardly anybody moves. Both are
-    robot.parquet. Zero without either.
+    Or as the trial itself does where hardly anybody moves, in the quieter of two bands, where that is more than chance
+    would make of it: wheels that turn are not read as well as wheels that stand. Both are robot.parquet. Zero without
+    either.
     """
-    for path, band in ((neutral, NOISE_BAND_HZ), (trial, QUIET_BAND_HZ)):
+    variance, freedom = np.zeros(len(ROBOT_JOINTS)), 0.0
+    for path, bands in ((neutral, [NOISE_BAND_HZ]), (trial, QUIET_BANDS_HZ)):
         table = pq.read_table(path)
         columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
-        if np.isfinite(columns).all(axis=1).mean() >= 0.5:
-            return np.asarray(np.sqrt(_white_variance(signals.bridged(columns), rate_hz, band)))
-    return np.zeros(len(ROBOT_JOINTS))
+        if np.isfinite(columns).all(axis=1).mean() < 0.5:
+            continue
+        path_at = signals.bridged(columns)
+        own = np.min([_white_variance(path_at, rate_hz, band) for band in bands], axis=0)
+        own_freedom = 2 * len(table) / rate_hz * (bands[0][1] - bands[0][0])
+        chance = f_distribution.ppf(_LOUDER, own_freedom, freedom) if freedom else 0.0
+        variance = np.where(own > chance * variance, own, variance)
+        freedom = own_freedom
+    return np.sqrt(variance)
 
 
 def drawn_together(variance: np.ndarray, freedom: float) -> np.ndarray:

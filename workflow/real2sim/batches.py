@@ -14,8 +14,8 @@ def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bo
     The Python bindings install a clock for the profiler, which each step reads time and again: a quarter of a step
     of the plant, a third and more of one of the robot alone (`benchmarks/engine.py`). Nothing here reads the profile.
     ``MjData.timer`` stays zero from then on in the whole process, and callbacks that others have set are taken away.
-    A search tries values that no simulation bears, and what diverged is NaN to it: MuJoCo's line on each of them, on the
-    screen and in a MUJOCO_LOG.TXT wherever the user happens to be, is not written. Its other warnings go to stderr.
+    A search tries values that no simulation bears, and what diverged is NaN to it: MuJoCo's line on each of them, on
+    the screen and in a MUJOCO_LOG.TXT wherever the user happens to be, is not written. Other warnings go to stderr.
     """
     mujoco.mj_resetCallbacks()
     mujoco.set_mju_user_warning(_warn)

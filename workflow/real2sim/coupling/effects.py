@@ -474,7 +474,7 @@ EFFECTS: tuple[Effect, ...] = (
         (
             # stiffer and shorter it would be friction by another name
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 8.0, (0.5, 3.0), _k, log=True),
-            EffectParameter("time_constant", "s", 0.03, 5.0, (0.4, 0.1), log=True),
+            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), log=True),
             EffectParameter("length", "m|rad", 0.12, 3.0, (0.3,), _q, log=True),
         ),
         "V",

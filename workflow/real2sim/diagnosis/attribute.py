@@ -262,26 +262,26 @@ class Search:
         best = int(np.argmin(costs))
         return z[best], float(costs[best])
 
-    def drawn(self, law: Placed, beside: Hypothesis, count: int) -> np.ndarray:
-        """``count`` starts (s, n) of a law in place of a single one, beside its strap: drawn, best first by their cost.
+    def drawn(
+        self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float], count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``count`` drawn starts (s, n) of the last effect beside ``base``, best first, and their costs (s,).
 
-        Constants that both have by name are drawn about the fitted ones, the others within their bounds.
+        Constants of a name in ``near`` are drawn about the searched number there, the others within their bounds.
         """
+        law = effects[-1]
         lower, upper = law.bounds()
-        known = dict(
-            zip((p.name for p in beside.effects[0].effect.parameters), beside.split()[0], strict=True)
-        )
         for i, parameter in enumerate(law.effect.parameters):
-            if parameter.log and parameter.name in known:
-                near = known[parameter.name] + np.array([-1, 1]) * NEAR
-                lower[i], upper[i] = np.clip(near, lower[i], upper[i])
+            if parameter.log and parameter.name in near:
+                about = near[parameter.name] + np.array([-1, 1]) * NEAR
+                lower[i], upper[i] = np.clip(about, lower[i], upper[i])
         points = qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
-        strap = np.tile(beside.z[:12], (count, 1))
-        z = np.hstack([strap, lower + points * (upper - lower)])
-        costs = self._residuals((law,)).costs(z)
+        z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
+        costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)
-        order = np.argsort(np.where(np.isfinite(costs), costs, FAILED), kind="stable")
-        return z[order]
+        costs = np.where(np.isfinite(costs), costs, FAILED)
+        order = np.argsort(costs, kind="stable")
+        return z[order], costs[order]
 
     @property
     def _middle(self) -> tuple[np.ndarray, np.ndarray]:
@@ -642,9 +642,20 @@ def _redrawn(
     ]
     out = list(found)
     for law in laws:
-        starts = search.drawn(law, best, settings["redraws"])
+        starts, _ = search.drawn((law,), best.z[:12], _named(best, 0), settings["redraws"])
         out += [search.fit((law,), z) for z in starts[: settings["redraw_refits"]]]
     return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
+
+
+def _has_many_constants(law: Placed) -> bool:
+    """Whether a law of one axis has so many constants that a few starts may miss the best of them."""
+    return len(law.effect.parameters) >= MANY and len(law.where.axes) == 1
+
+
+def _named(hypothesis: Hypothesis, member: int) -> dict[str, float]:
+    """Searched numbers of a member of a hypothesis, by name."""
+    names = (parameter.name for parameter in hypothesis.effects[member].effect.parameters)
+    return dict(zip(names, hypothesis.split()[member].tolist(), strict=True))
 
 
 def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis:
@@ -772,12 +783,17 @@ def _swapped(
         if taken or (search.is_noise(best) and member.effect.name not in TIMING):
             continue
         kept = [i for i, placed in enumerate(best.effects) if placed is not member]
+        near = _named(best, next(i for i, placed in enumerate(best.effects) if placed is member))
         others = tuple(best.effects[i] for i in kept)
         parts = best.split()
         base = np.concatenate([best.z[:12], *(parts[i] for i in kept)])
         rivals = [(*others, rival) for rival in _without(places, best) if _rivals(member, rival)]
         rivals = [effects for effects in rivals if not _conflict(effects)]
         starts = [search.fresh(effects, base) for effects in rivals]
+        for i, effects in enumerate(rivals):
+            if _has_many_constants(effects[-1]) and settings["redraws"]:
+                drawn, costs = search.drawn(effects, base, near, settings["redraws"])
+                starts[i] = min(starts[i], (drawn[0], float(costs[0])), key=lambda start: start[1])
         order = sorted(range(len(rivals)), key=lambda i: starts[i][1])[: settings["swap_refits"]]
         tried = [search.fit(rivals[i], starts[i][0]) for i in order]
         out += tried

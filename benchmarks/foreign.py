@@ -44,9 +44,10 @@ from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms import DrivenForce, Fields, PlannedForce, Scales
 from real2sim.coupling.plant import servo_gains
-from real2sim.diagnosis.attribute import Pair, attribute
+from real2sim.diagnosis.attribute import attribute
 from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.refit import JointResiduals, refit
+from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.stage import candidates_of
 from real2sim.identification.parameters import PARAMETERS, Bounds
 

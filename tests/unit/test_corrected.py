@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real2sim.diagnosis import corrected as module
-from real2sim.diagnosis.attribute import Pair
 from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Pair
 
 SAMPLES, NOISE = 4000, 0.5
 TRUTH = np.linspace(-1.0, 1.0, 12)

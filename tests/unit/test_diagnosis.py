@@ -22,28 +22,21 @@ from real2sim.coupling.replay import servo_command
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis import evidence, stage
 from real2sim.diagnosis.attribute import (
-    FAILED,
     OUT_OF_REACH,
     QUIET_REFITS,
     Attribution,
-    Pair,
-    Screened,
-    Search,
     _alone,
     _best_of_each,
     _first_of_each,
-    _fresh_starts,
     _other_forms,
     _other_laws,
     _pairs,
-    _parabola,
     _promising,
     _pruned,
     _redrawn,
     _single,
     _swapped,
     _swapped_together,
-    _together,
     _without_spikes,
     finished,
     is_makeshift,
@@ -71,6 +64,7 @@ from real2sim.diagnosis.evidence import (
 from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, spikes
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis, JointResiduals
 from real2sim.diagnosis.score import score_diagnosis
+from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, _fresh_starts, _parabola, _together
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
 from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
 from real2sim.identification.least_squares import STEP, Tangent

@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from real2sim.diagnosis.attribute import Pair
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import Pair
 
 # Step of the ln-parameters for derivatives of what noise does: the same draws on either side, so a small one is exact
 _STEP_LN = 1e-3

@@ -14,15 +14,7 @@ import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
-from real2sim.diagnosis.attribute import (
-    Attribution,
-    Pair,
-    Search,
-    attribute,
-    finished,
-    is_makeshift,
-    plain_fit,
-)
+from real2sim.diagnosis.attribute import Attribution, attribute, finished, is_makeshift, plain_fit
 from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.decide import (
     NONE,
@@ -38,6 +30,7 @@ from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, 
 from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import Pair, Search
 from real2sim.geometry import AXES, INTERFACE_MARKERS
 from real2sim.identification.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
 from real2sim.identification.noise_floor import block_bootstrap_mean

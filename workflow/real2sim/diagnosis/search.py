@@ -1,0 +1,366 @@
+"""Screening on the tangent and joint refits of one pair of trials: what the attribution searches with.
+
+Refitting the 12 parameters swallows most of the gap of many effects, so an effect is judged by a joint refit (12 + its
+own parameters) on the training trial and by what it leaves of the held-out one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.stats import qmc
+
+from real2sim.coupling.effects import Placed
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
+from real2sim.identification.least_squares import Tangent
+from real2sim.identification.parameters import Bounds
+
+# A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
+KEEP = 0.3
+# Chi-squared of a set of effects that MuJoCo gives up on
+FAILED = 1e12
+# Starts tried, weaker and weaker, where MuJoCo gives up
+WEAKENINGS = 3
+# Strengths beyond an effect's own starts that are tried by their cost alone
+STRENGTHS = 5
+# ln-range about a fitted constant in which that of another law is drawn
+NEAR = 1.0
+# Longest step in ln or searched numbers that the screening believes
+LONGEST_STEP = 1.5
+
+
+@dataclass
+class Pair:
+    """Training and held-out trial of one person, whitened, with common scales.
+
+    ``exchanged``: the trial that was to be fitted shows no gap and the other does, so that they changed places.
+    """
+
+    train: Evidence
+    held_out: Evidence
+    bounds: Bounds
+    exchanged: bool = False
+
+    @property
+    def shown(self) -> Evidence:
+        """The trial that shows the gap: the held-out one, but where they changed places."""
+        return self.train if self.exchanged else self.held_out
+
+
+@dataclass
+class Screened:
+    """A hypothesis before its refit: predicted cost on the training trial and where to start.
+
+    ``tangent`` is what it was predicted with: residuals (n_r,) and Jacobian (n_r, 12 + p) at (12 + p,), the columns of
+    the strap and of effects fitted before being those without it.
+    """
+
+    effects: tuple[Placed, ...]
+    predicted: float
+    start: np.ndarray
+    tangent: Tangent
+
+
+def conflict(effects: Sequence[Placed]) -> bool:
+    """Two effects cannot both stand for the spring of one axis, nor two forms of one law for what it does there."""
+    taken = [axis for placed in effects if placed.effect.replaces_spring for axis in placed.where.axes]
+    laws = [(p.effect.name, p.where.axes, p.where.side) for p in effects if len(p.where.axes) == 1]
+    return len(taken) != len(set(taken)) or len(laws) != len(set(laws))
+
+
+class Search:
+    """Screening and refits on one pair of trials."""
+
+    def __init__(self, pair: Pair, settings: dict, progress: Callable[[str], None] | None = None):
+        self.pair, self._settings = pair, settings
+        self._progress = progress or (lambda text: None)
+        self.evaluations = 0
+        self._noise: dict[tuple[str, bytes], tuple[float, float]] = {}
+        self._screened_from: Tangent | None = None
+
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        start: np.ndarray,
+        final: bool = False,
+        tangent: Tangent | None = None,
+    ) -> Hypothesis:
+        """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged.
+
+        ``tangent``, where one was taken near the start, spares the first Jacobian as far as it foretells the start.
+        """
+        residuals = self._residuals(effects, coarse=not final)
+        kind = "final_" if final else ""
+        iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
+        z, _ = refit(
+            residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP, known=tangent
+        )
+        held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds, coarse=not final)
+        if len(held_out.free):
+            z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
+        judged = np.array([residuals.judged(z), held_out.judged(z)])
+        # what cannot be simulated explains nothing
+        judged = np.where(np.isfinite(judged), judged, FAILED)
+        count = residuals.evaluations + held_out.evaluations
+        self.evaluations += count
+        (train, j_train), (other, j_other) = judged.tolist()
+        return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count, final)
+
+    def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
+        """Those of the training trial; what is only searched with does not need the finest time step."""
+        return JointResiduals(self.pair.train, effects, self.pair.bounds, coarse=coarse)
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Whitened residuals of the two trials."""
+        return self.pair.train.samples, self.pair.held_out.samples
+
+    def excess(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis leaves beyond noise, in SD of what noise leaves.
+
+        Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
+        """
+        left, mean = sum(hypothesis.chi2), float(sum(self.samples))
+        sd = np.sqrt(2 * mean)
+        if left - mean < self._settings["pair_excess_sigma"] * sd or not hypothesis.effects:
+            return float((left - mean) / sd)
+        key = hypothesis.key, hypothesis.z.tobytes()
+        if key not in self._noise:
+            parameters, x = np.exp(hypothesis.z[:12]), hypothesis.split()
+            settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
+            draws = self.pair.train.noise_through(*settled) + self.pair.held_out.noise_through(*settled)
+            self.evaluations += 2 * BATCH
+            known = np.isfinite(draws).all()
+            self._noise[key] = (draws.mean(), draws.std()) if known else (mean, sd)
+        seen_mean, seen_sd = self._noise[key]
+        return float((left - max(mean, seen_mean)) / max(sd, seen_sd))
+
+    def is_noise(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis leaves nothing that a further effect has to explain."""
+        return self.excess(hypothesis) < self._settings["pair_excess_sigma"]
+
+    def fit_screened(self, screened: Screened) -> Hypothesis:
+        """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that.
+
+        Once more where even the start without the strap's old parameters is better than what came out.
+        """
+        fitted = self.fit(screened.effects, screened.start, tangent=screened.tangent)
+        origin = screened.tangent.z
+        if fitted.chi2[0] >= FAILED:
+            fitted = self.fit(screened.effects, origin)
+        own = len(screened.effects[-1].effect.parameters)
+        return self.afresh(screened.effects, origin[: len(origin) - own], fitted)
+
+    def afresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
+        """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``."""
+        z, cost = self.fresh(effects, base)
+        if not cost < fitted.chi2[0]:
+            return fitted
+        again = self.fit(effects, z)
+        return again if again.chi2[0] < fitted.chi2[0] else fitted
+
+    def fresh(self, effects: tuple[Placed, ...], base: np.ndarray) -> tuple[np.ndarray, float]:
+        """Best start of the last effect beside ``base`` by its cost alone, and that cost.
+
+        What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
+        friction, and no tangent leads out of there. So these are tried from the middle of their range too.
+        """
+        z = _fresh_starts(effects[-1], base, *self._middle)
+        costs = self._residuals(effects).costs(z)
+        self.evaluations += len(z)
+        costs = np.where(np.isfinite(costs), costs, FAILED)
+        best = int(np.argmin(costs))
+        return z[best], float(costs[best])
+
+    def drawn(
+        self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float], count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``count`` drawn starts (s, n) of the last effect beside ``base``, best first, and their costs (s,).
+
+        Constants of a name in ``near`` are drawn about the searched number there, the others within their bounds.
+        """
+        law = effects[-1]
+        lower, upper = law.bounds()
+        for i, parameter in enumerate(law.effect.parameters):
+            if parameter.log and parameter.name in near:
+                about = near[parameter.name] + np.array([-1, 1]) * NEAR
+                lower[i], upper[i] = np.clip(about, lower[i], upper[i])
+        points = qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
+        z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
+        costs = self._residuals(effects).costs(z)
+        self.evaluations += len(z)
+        costs = np.where(np.isfinite(costs), costs, FAILED)
+        order = np.argsort(costs, kind="stable")
+        return z[order], costs[order]
+
+    @property
+    def _middle(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middles (6,) of the ranges of ln-stiffness and ln-damping."""
+        middle = (np.log(self.pair.bounds.lower) + np.log(self.pair.bounds.upper)) / 2
+        return middle[:6], middle[6:]
+
+    def bearable(self, effects: tuple[Placed, ...], base: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """``base`` with the start ``x`` (p,) of the last effect, weakened until the simulation bears it.
+
+        A spring that softens is a spring that lets go where the strap of ``base`` is softer than the plain one.
+        """
+        residuals = self._residuals(effects)
+        z = np.concatenate([base, x])
+        for weaker in _weakened(effects[-1], x):
+            z = np.concatenate([base, weaker])
+            if np.isfinite(residuals.costs(z[None])[0]):
+                break
+        self.evaluations += residuals.evaluations
+        return z
+
+    def mark_spikes(self, best: Hypothesis) -> bool:
+        """Look for jumps of the markers in what a hypothesis leaves of both trials; whether there are new ones."""
+        new = [
+            evidence.mark_spikes(JointResiduals(evidence, best.effects, self.pair.bounds).paths(best.z))
+            for evidence in (self.pair.train, self.pair.held_out)
+        ]
+        return any(new)
+
+    def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
+        """Predicted cost of adding each place to a fitted hypothesis, best first."""
+        problem = self._residuals(base.effects)
+        here = Tangent(base.z, *problem.with_jacobian(base.z, np.arange(len(base.z))))
+        self._screened_from = here
+        out = []
+        for placed in places:
+            effects = (*base.effects, placed)
+            if conflict(effects):
+                continue
+            found = self._screen_one(effects, here)
+            if found is not None:
+                out.append(found)
+        self.evaluations += problem.evaluations
+        return sorted(out, key=lambda s: s.predicted)
+
+    def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
+        """Predicted cost of the last effect beside the others, on the tangent at the best of its starts."""
+        placed = effects[-1]
+        residuals = self._residuals(effects)
+        lower, upper = residuals.lower, residuals.upper
+        own = np.arange(len(here.z), len(lower))
+        tangents: list[Tangent] = []
+        for starts in _weakened(placed, placed.starts()):
+            z = np.hstack([np.tile(here.z, (len(starts), 1)), starts])
+            at = residuals.many(z)
+            # prior rows of the base's own effects stand before those of the new one
+            base = np.pad(here.residuals, (0, at.shape[1] - len(here.residuals)))
+            rows = np.pad(here.jacobian, ((0, at.shape[1] - len(here.residuals)), (0, 0)))
+            logarithmic = any(parameter.log for parameter in placed.effect.parameters)
+            slopes = None if logarithmic else _parabola(starts, at, base)
+            for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
+                columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
+                tangents.append(Tangent(z[i], at[i], np.hstack([rows, columns])))
+            if tangents:
+                break
+        self.evaluations += residuals.evaluations
+        steps = [_bounded_step(tangent, lower, upper) for tangent in tangents]
+        found = [
+            Screened(effects, cost, t.z + step, t) for t, (step, cost) in zip(tangents, steps, strict=True)
+        ]
+        return min(found, key=lambda s: s.predicted, default=None)
+
+    def pairs(self, screened: Sequence[Screened], most: int) -> list[Screened]:
+        """Predicted cost of pairs among single effects of the last screening, best first, ``most`` of them."""
+        here = self._screened_from
+        assert here is not None, "pairs are made of what was screened"
+        out = []
+        for a, b in combinations(screened, 2):
+            effects = (a.effects[-1], b.effects[-1])
+            if effects[0].key == effects[1].key or conflict(effects):
+                continue
+            tangent = _together(here, a.tangent, b.tangent)
+            limits = [placed.bounds() for placed in effects]
+            lower = np.concatenate([np.log(self.pair.bounds.lower), *(low for low, _ in limits)])
+            upper = np.concatenate([np.log(self.pair.bounds.upper), *(high for _, high in limits)])
+            step, cost = _bounded_step(tangent, lower, upper)
+            out.append(Screened(effects, cost, tangent.z + step, tangent))
+            out = sorted(out, key=lambda s: s.predicted)[:most]
+        return out
+
+
+def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.ndarray] | None:
+    """Slopes (n_r, 1) of residuals ``at`` (2, n_r) two opposite starts (2, 1) of one parameter that is nothing at zero.
+
+    They are those of the parabola through both and ``base`` (n_r,), which a law that is linear in its parameter hardly
+    leaves: no replay is asked for them. None for other starts, or where one cannot be simulated.
+    """
+    opposite = starts.shape == (2, 1) and starts[0, 0] == -starts[1, 0] != 0
+    if not opposite or not np.isfinite(at).all():
+        return None
+    odd = (at[1] - at[0]) / (starts[1, 0] - starts[0, 0])
+    even = ((at[0] + at[1]) / 2 - base) / starts[0, 0] ** 2
+    return [(odd + 2 * even * x)[:, None] for x in starts[:, 0]]
+
+
+def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
+    """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
+    rows, columns = here.jacobian.shape
+    both = (one, other)
+    changed = here.residuals + sum(t.residuals[:rows] - here.residuals for t in both)
+    # prior rows of one effect do not see the other
+    own = block_diag(*(t.jacobian[rows:, columns:] for t in both))
+    top = np.hstack([here.jacobian, *(t.jacobian[:rows, columns:] for t in both)])
+    bottom = np.hstack([np.zeros((len(own), columns)), own])
+    return Tangent(
+        np.concatenate([here.z, *(t.z[columns:] for t in both)]),
+        np.concatenate([changed, *(t.residuals[rows:] for t in both)]),
+        np.vstack([top, bottom]),
+    )
+
+
+def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
+    """A start (p,) of an effect, or several (s, p), then weaker and weaker ones."""
+    for _ in range(WEAKENINGS):
+        yield x
+        x = placed.weaker(x)
+
+
+def _fresh_starts(placed: Placed, base: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the strap's axis old and new."""
+    starts, (_, upper) = placed.starts(), placed.bounds()
+    strengths = [starts]
+    if placed.effect.parameters and placed.effect.parameters[0].log:
+        ladder = np.tile(starts[0], (STRENGTHS, 1))
+        ladder[:, 0] = np.linspace(starts[:, 0].max(), upper[0], STRENGTHS + 1)[1:]
+        strengths.append(ladder)
+    x = np.concatenate(strengths)
+    straps = [base[:12]]
+    if len(placed.where.axes) == 1:
+        axis = placed.where.axes[0]
+        softer, freed = base[:12].copy(), base[:12].copy()
+        softer[6 + axis] = freed[6 + axis] = damping[axis]
+        freed[axis] = stiffness[axis]
+        straps += [softer, freed]
+    return np.array([np.concatenate([strap, base[12:], own]) for strap in straps for own in x])
+
+
+def _bounded_step(tangent: Tangent, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
+    """Gauss-Newton step, held inside the bounds and to a length that a tangent may claim, and the cost it predicts."""
+    z, r, jacobian = tangent.z, tangent.residuals, tangent.jacobian
+    normal, slope = jacobian.T @ jacobian, jacobian.T @ r
+    normal[np.diag_indices_from(normal)] *= 1 + 1e-6
+    normal[np.diag_indices_from(normal)] += 1e-9
+    lower = np.maximum(lower - z, -LONGEST_STEP)
+    upper = np.minimum(upper - z, LONGEST_STEP)
+    free, step = np.ones(len(z), bool), np.zeros(len(z))
+    # what meets a bound stays there and is made good by the others
+    for _ in range(4):
+        part = np.ix_(free, free)
+        step[free] = -np.linalg.solve(normal[part], slope[free] + normal[np.ix_(free, ~free)] @ step[~free])
+        outside = free & ((step < lower) | (step > upper))
+        step = np.clip(step, lower, upper)
+        if not outside.any():
+            break
+        free &= ~outside
+    cost = float(r @ r + 2 * slope @ step + step @ normal @ step)
+    return step, cost

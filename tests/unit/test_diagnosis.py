@@ -53,15 +53,16 @@ from real2sim.diagnosis.decide import (
     next_trial,
     unexplained,
 )
-from real2sim.diagnosis.evidence import (
-    _from_standing,
+from real2sim.diagnosis.evidence import _from_standing
+from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, spikes
+from real2sim.diagnosis.noise import (
+    BANDS_HZ,
     drawn_together,
     hold_uncertainty,
     noise_colour,
     rest_uncertainty,
     robot_noise,
 )
-from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, spikes
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis, JointResiduals
 from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, _fresh_starts, _parabola, _together
@@ -1478,7 +1479,7 @@ def test_markers_whose_noise_is_slow_are_told_from_white_ones_by_the_bodies_they
     slow = _standing(path, dict.fromkeys(_BODIES, 1.5e-4), seed)
     # 2 x 0.35 s / 0.01 s of the share of the variance
     louder = 1 + 2 * 35 * 0.25
-    assert slow.shape == (2, len(evidence.BANDS_HZ) - 1)
+    assert slow.shape == (2, len(BANDS_HZ) - 1)
     assert np.all(np.diff(slow) <= 0)
     np.testing.assert_allclose(slow[:, -1], 1)
     np.testing.assert_allclose(slow[0], slow[1])

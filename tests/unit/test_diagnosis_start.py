@@ -13,9 +13,9 @@ import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.coupling.mechanisms import SmoothFriction
 from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
-from real2sim.diagnosis.evidence import _without_filled
 from real2sim.diagnosis.stage import _stages
 from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first
+from real2sim.diagnosis.tables import without_filled
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
@@ -284,7 +284,7 @@ def test_what_fills_a_gap_is_no_measurement(tmp_path):
     columns = {f"{m}_filled": np.zeros(n, bool) for m in INTERFACE_MARKERS}
     columns[f"{INTERFACE_MARKERS[1]}_filled"][40:50] = True
     pq.write_table(pa.table(columns), tmp_path / "markers.parquet")
-    seen = _without_filled(np.ones((n, 2, 3)), tmp_path / "markers.parquet", RATE)
+    seen = without_filled(np.ones((n, 2, 3)), tmp_path / "markers.parquet", RATE)
     assert np.isfinite(seen[:, 0]).all()
     lost = np.flatnonzero(np.isnan(seen[:, 1, 0]))
     # five hundredths of a second beyond both ends

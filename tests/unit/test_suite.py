@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from real2sim.configuration import validated
-from real2sim.diagnosis.evidence import robot_noise
+from real2sim.diagnosis.noise import robot_noise
 from real2sim.ingest import ingest_subject
 from real2sim.phantom import tasks
 from real2sim.phantom.motions import Motion, pelvis_path

@@ -13,7 +13,8 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS, Effect, Placed
 from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 from real2sim.coupling.mechanisms import DrivenForce, Scales, Where
-from real2sim.diagnosis.evidence import BALANCE, load_evidence, marker_noise
+from real2sim.diagnosis.evidence import BALANCE, load_evidence
+from real2sim.diagnosis.noise import marker_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.errors import InputError
 from real2sim.files import write_text

@@ -26,9 +26,10 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
     next_trial,
 )
-from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence, marker_noise
+from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence
 from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
+from real2sim.diagnosis.noise import marker_noise
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.geometry import AXES, INTERFACE_MARKERS

@@ -16,8 +16,8 @@ from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis
 
+from tests.unit.simulated_effects import LEVEL, SCALES, replay
 from tests.unit.test_coupling import PRIOR, ROBOT
-from tests.unit.test_diagnosis import LEVEL, SCALES, replay
 
 LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
 
@@ -129,7 +129,7 @@ def test_a_robot_with_shapes_needs_no_file_of_theirs(tmp_path, monkeypatch):
     inertial = '<inertial pos="0 0 0" mass="3" diaginertia="0.03 0.03 0.03"/>'
     assert inertial in text
     own.write_text(text.replace(inertial, '<geom type="box" size="0.05 0.2 0.05" mass="3"/>'))
-    monkeypatch.setattr("tests.unit.test_diagnosis.ROBOT", own)
+    monkeypatch.setattr("tests.unit.simulated_effects.ROBOT", own)
     model, paths = acting([named("slack")])
     simulated = model.as_simulated()
     file = tmp_path / "model.xml"

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from real2sim import signals
-from real2sim.diagnosis.jumps import ghosts, without_ghosts
+from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, ghosts, spikes, without_ghosts
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
+from real2sim.signals import lowpass
 from scipy.spatial.transform import Rotation
 
-from tests.unit.test_diagnosis import PELVIS_SHAPE
+from tests.unit.simulated_effects import PELVIS_SHAPE, placed_whole, replay
+from tests.unit.test_coupling import PRIOR
 
 RATE, SETTLE_S = 100.0, 0.5
 TIME = np.arange(1200) / RATE
@@ -93,3 +95,41 @@ def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
     after = np.flatnonzero(lost)[-1] + 1
     assert not mended.usable[after : after + round(SETTLE_S * RATE)].any()
     assert mended.usable[after + round(SETTLE_S * RATE) + 1 :].all()
+
+
+def test_a_jump_shows_in_what_a_fit_leaves_though_the_motion_hides_it():
+    rng = np.random.default_rng(3)
+    noise = lowpass(2e-3 * rng.standard_normal((1200, 6)), 100, 10.0, 4).reshape(1200, 2, 3)
+    assert not spikes(noise, 100, SPIKE_RESIDUAL_SD).any()
+    jump = np.zeros((1200, 6))
+    jump[600, 2] = 0.03
+    jump = lowpass(jump, 100, 10.0, 4).reshape(1200, 2, 3)
+    found = spikes(noise + jump, 100, SPIKE_RESIDUAL_SD)
+    assert found[600, 0]
+    assert not found[:580].any()
+    assert not found[:, 1].any()
+    t = np.arange(1200) / 100
+    motion = 0.01 * np.sin(2 * np.pi * 5 * t)[:, None, None] * np.ones((1, 2, 3))
+    assert not spikes(motion + noise + jump, 100).any()
+
+
+def test_noise_of_a_path_that_begins_or_ends_is_no_jump():
+    """A filter has one side only there: a null with two gaps was called outliers (0.66)."""
+    rng = np.random.default_rng(3)
+    whole = np.concatenate([np.arange(0, 580), np.arange(620, 1200)])
+    noise = np.full((1200, 6), np.nan)
+    noise[whole] = 2e-4 * rng.standard_normal((len(whole), 6))
+    # as loud again as anywhere else
+    for first in (0, 579, 620, 1199):
+        noise[first] = 2e-3
+    assert not spikes(noise.reshape(1200, 2, 3), 100, SPIKE_RESIDUAL_SD).any()
+    noise[300] = 2e-3
+    assert spikes(noise.reshape(1200, 2, 3), 100, SPIKE_RESIDUAL_SD)[300].all()
+
+
+def test_a_gap_beside_a_jump_stays_what_was_simulated():
+    model = replay([placed_whole("outliers"), placed_whole("clock_drift")])
+    model._context.spikes[100:120, 0] = True
+    model._context.measured[110:115, 0] = np.nan
+    paths, _ = model.run_effects(PRIOR[None], [np.zeros((1, 0)), np.array([[0.001]])])
+    assert np.isfinite(paths).all()

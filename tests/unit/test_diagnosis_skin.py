@@ -11,7 +11,7 @@ from real2sim.diagnosis.skin import skin_of
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from scipy.spatial.transform import Rotation
 
-from tests.unit.test_diagnosis import PELVIS_SHAPE
+from tests.unit.simulated_effects import PELVIS_SHAPE
 
 RATE, SD = 100.0, 5e-4
 TIME = np.arange(1200) / RATE

@@ -20,8 +20,8 @@ from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
+from tests.unit.simulated_effects import LEVEL, PELVIS_SHAPE, SCALES, replay
 from tests.unit.test_coupling import PRIOR, REST, ROBOT
-from tests.unit.test_diagnosis import LEVEL, PELVIS_SHAPE, SCALES, replay
 
 RATE, START = 100.0, 50
 TWIN = load_robot(ROBOT).compile()

@@ -24,26 +24,10 @@ from real2sim.coupling.chains import Context, Elsewhere
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
 from real2sim.coupling.mechanisms import Scales, Where
-from real2sim.coupling.plant import (
-    STRAP_JOINTS,
-    JointLimits,
-    impedances,
-    load_robot,
-)
+from real2sim.coupling.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
 from real2sim.coupling.superset import EffectReplay, InputBasis
-from real2sim.diagnosis.jumps import (
-    MARKER_FLOOR_M,
-    SPIKE_RESIDUAL_SD,
-    spikes,
-    without_ghosts,
-)
-from real2sim.diagnosis.noise import (
-    BANDS_HZ,
-    hold_uncertainty,
-    noise_colour,
-    rest_uncertainty,
-    robot_noise,
-)
+from real2sim.diagnosis.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
+from real2sim.diagnosis.noise import BANDS_HZ, hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
 from real2sim.diagnosis.skin import Skin, skin_of
 from real2sim.diagnosis.start import at_first, moved_to_first
 from real2sim.diagnosis.tables import (
@@ -55,13 +39,7 @@ from real2sim.diagnosis.tables import (
     rotation_vectors,
     without_filled,
 )
-from real2sim.geometry import (
-    AXES,
-    INTERFACE_MARKERS,
-    PELVIS_MARKERS,
-    interface_frame,
-    pelvis_frame,
-)
+from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
 from real2sim.identification.cost import CostScales, TrialCost
 from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs
 

@@ -1,0 +1,196 @@
+"""A robot that had come to rest before the record begins, and one that is let go at its start pose."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from real2sim.coupling.effects import EFFECTS, Placed
+from real2sim.coupling.mechanisms import Where
+from real2sim.coupling.plant import impedances
+from real2sim.diagnosis import evidence, stage
+from real2sim.diagnosis.attribute import Attribution
+from real2sim.diagnosis.decide import Candidate, cost_of_answer
+from real2sim.diagnosis.noise import hold_uncertainty
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Pair, Search
+
+from tests.unit.simulated_effects import LEVEL, SCALES, replay
+from tests.unit.test_coupling import CONFIG, PRIOR, ROBOT
+
+RESTING = (
+    "",
+    "slack",
+    "one_sided",
+    "relaxation",
+    "misalignment",
+    "tilt",
+    "preload",
+    "base_compliance series",
+)
+
+
+@pytest.mark.parametrize("key", RESTING)
+def test_a_robot_at_rest_against_its_controller_stays_where_it_is(key):
+    """Where a person stands off the rest pose, a controller that holds at the start would let the robot go there."""
+    pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
+    name, _, form = key.partition(" ")
+    law = [e for e in EFFECTS if e.name == name and e.form.strip("_") == form][:1]
+    placed = [Placed(e, e.places()[0], SCALES) for e in law]
+    x = [np.tile(p.starts()[-1], (2, 1)) for p in placed]
+    drift = []
+    for settled in (False, True):
+        model = replay(placed, nsim=2, seen=pose, settled=settled)
+        _, joints = model.run_effects(np.stack([PRIOR, 1.5 * PRIOR]), x)
+        quiet = 15  # samples before the pelvis has moved
+        drift.append(np.abs(joints[:, quiet] - joints[:, 0]).max(axis=1))
+    assert (drift[1] < 0.1 * drift[0]).all()
+
+
+def test_where_a_settled_robot_holds_is_kept_from_one_call_to_the_next():
+    """Neither what was asked before nor how many go together changes an answer."""
+    pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
+    placed = Placed(evidence._START, Where((), 0, "", "start"), SCALES)
+    x = np.zeros((2, 6))
+    x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]
+    two = np.stack([PRIOR, 1.5 * PRIOR])
+    model = replay([placed], nsim=2, seen=pose, settled=True)
+    both, _ = model.run_effects(two, [x])
+    for k in (1, 0):
+        alone, _ = model.run_effects(two[k : k + 1], [x[k : k + 1]])
+        np.testing.assert_array_equal(alone[0], both[k])
+
+
+def test_a_robot_at_rest_may_hold_beside_the_balance(tmp_path):
+    """A person who swayed was never in balance: two nulls of a stranger's left 3 000 and 800 more than noise."""
+    pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
+    model = replay([], nsim=2, seen=pose, settled=True)
+    shift = np.array([3e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    model.hold_beside(np.stack([np.zeros(6), shift]), np.zeros((2, 6)))
+    _, joints = model.run_effects(np.stack([PRIOR, PRIOR]), [])
+    hold = CONFIG["robot"]["hold"]["x"]["stiffness"]
+    moved = joints[1, -1] - joints[0, -1]
+    # the strap holds against the controller
+    assert moved[0] == pytest.approx(shift[0] * hold / (hold + PRIOR[0]), rel=0.3)
+    model.hold_beside(np.zeros((2, 6)), np.zeros((2, 6)))
+    _, again = model.run_effects(np.stack([PRIOR, PRIOR]), [])
+    np.testing.assert_array_equal(again[0], joints[0])
+    np.testing.assert_array_equal(again[1], again[0])
+
+
+def test_a_robot_that_sways_with_the_person_has_a_rate_at_the_start():
+    """A stranger's robot went at 11 mm/s where the record began: a null left 890 more than noise."""
+    model = replay([], nsim=2, seen=(np.eye(3), LEVEL[1]), settled=True)
+    rate = np.array([0.011, 0.0, 0.0, 0.004, 0.0, 0.0])
+    model.hold_beside(np.zeros((2, 6)), np.stack([np.zeros(6), rate]))
+    paths, joints = model.run_effects(np.stack([PRIOR, PRIOR]), [])
+    h, moved = 0.01, joints[1] - joints[0]
+    np.testing.assert_allclose(moved[1] / h, rate, atol=1.5e-3)
+    # the pelvis stays on its path: what the robot does the strap gives way to
+    assert np.abs(paths[1, 1] - paths[0, 1]).max() < 2 * h * rate[0]
+
+
+def test_how_far_a_swaying_person_keeps_the_robot_from_balance(tmp_path):
+    time = np.arange(0, 40, 0.01)
+    columns = {f"interface_{c}": np.zeros(len(time)) for c in "yz"} | {
+        "interface_x": 2e-3 * np.sin(2 * np.pi * 0.1 * time),
+        "interface_qw": np.ones(len(time)),
+        **{f"interface_q{c}": np.zeros(len(time)) for c in "xyz"},
+    }
+    pq.write_table(pa.table(columns), tmp_path / "pose.parquet")
+    held = impedances(CONFIG["robot"], "hold")
+    robot = mujoco.MjModel.from_xml_path(str(ROBOT))
+    still = columns | {"interface_x": np.zeros(len(time))}
+    pq.write_table(pa.table(still), tmp_path / "still.parquet")
+    pq.write_table(pa.table(still | {"interface_z": 0.02 * time}), tmp_path / "rising.parquet")
+    swaying, standing, rising = (tmp_path / f"{name}.parquet" for name in ("pose", "still", "rising"))
+    beside, rate = hold_uncertainty(swaying, standing, 50, 100, robot, held)
+    speed = 2e-3 * 2 * np.pi * 0.1 / np.sqrt(2)
+    x = held["base_x"]
+    assert beside[0] == pytest.approx(x["damping"] * speed / x["stiffness"], rel=0.1)
+    assert rate[0] == pytest.approx(speed, rel=0.1)
+    np.testing.assert_allclose([beside[1:], rate[1:]], 0, atol=1e-9)
+    # as fast as the trial itself begins, where that is faster than anything in quiet standing
+    beside, rate = hold_uncertainty(standing, rising, 50, 100, robot, held)
+    np.testing.assert_allclose(rate, [0, 0, 0, 0.02, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(beside, 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("left", "then", "standing", "at_rest", "settled"),
+    [
+        (3000.0, 100.0, 1.0, 1.0, True),  # a robot that came to rest, and no other cause
+        (3000.0, 2400.0, 1.0, 1.0, False),  # something else leaves most of it
+        (90.0, 0.0, 1.0, 1.0, False),  # nothing to explain
+        (3e5, 2.9e5, 3.0, 1.2, True),  # another cause leaves most, but not while the person stands
+        (3e5, 2.9e5, 3.0, 2.5, False),  # a tilt, say: the robot was not at rest
+        (3e5, 2.9e5, 1.2, 0.6, False),  # noise does as much
+    ],
+)
+def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_stand(
+    monkeypatch, left, then, standing, at_rest, settled
+):
+    class Trial(SimpleNamespace):
+        def standing(self, error):
+            # draws of noise, or what is left
+            return np.array([0.7, 1.1, 1.3]) if error is self.noise else np.full(1, error)
+
+    items = [Trial(samples=2880, settled=False, noise=np.zeros(3)) for _ in range(2)]
+    pair = Pair(*items, bounds=None)
+
+    def fit(self, effects, start):
+        return Hypothesis((), start, (2880 + then / 2, 2880 + then / 2))
+
+    class Residuals:
+        def __init__(self, evidence, effects, bounds):
+            self.raw = lambda z: at_rest if evidence.settled else standing
+
+    monkeypatch.setattr(Search, "fit", fit)
+    monkeypatch.setattr(stage, "JointResiduals", Residuals)
+    plain = Hypothesis((), np.zeros(12), (2880 + left / 2, 2880 + left / 2))
+    assert stage.looks_settled(pair, plain, CONFIG["diagnosis"]) is settled
+    assert not any(e.settled for e in items)
+
+
+@pytest.mark.parametrize(
+    ("said", "looks", "left", "holds", "other"),
+    [
+        ("auto", True, 2900.0, True, False),
+        ("auto", True, 9000.0, False, True),
+        ("auto", False, 0.0, False, None),
+        ("start pose", True, 0.0, False, None),  # the lab knows
+        ("balance", False, 9000.0, True, None),
+    ],
+)
+def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, looks, left, holds, other):
+    def searched(settled=False, **known):
+        chi2 = (left if settled else 4000.0,) * 2
+        return settled, Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880))
+
+    monkeypatch.setattr(stage, "searched", searched)
+    monkeypatch.setattr(stage, "looks_settled", lambda *about: looks)
+    options = CONFIG["diagnosis"] | {"robot_holds": said}
+    found, rest = stage.searched_as_held(options=options, progress=lambda text: None)
+    assert found[0] is holds
+    assert (rest[0] if rest else None) is other
+
+
+def test_of_two_searches_the_one_is_taken_whose_answer_leaves_less_for_its_price():
+    def cost(plain, *sets):
+        return cost_of_answer(plain, sets, (2880, 2880), CONFIG["diagnosis"]["calibration"])
+
+    loud, quiet = Candidate((), 0, (9000.0, 9000.0)), Candidate((), 0, (2700.0, 3000.0))
+    # a preload that was let go leaves less than a robot at rest without it, though less than a law must earn there
+    preload = Candidate(("preload",), 1, (2600.0, 2700.0))
+    assert cost(quiet, preload) == cost(quiet) == 5700
+    assert cost(loud, preload) < cost(quiet, preload)
+    # two laws that imitate a robot at rest leave as much as it does with one
+    both = Candidate(("relaxation", "tilt"), 5, (2650.0, 2950.0))
+    one = Candidate(("relaxation",), 3, (2700.0, 3000.0))
+    assert cost(loud, one) < cost(loud, both)
+    # what nothing explains counts by what comes nearest
+    assert cost(loud, Candidate(("tilt",), 2, (8000.0, 8000.0))) == pytest.approx(16_000 + 150, abs=20)

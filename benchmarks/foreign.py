@@ -42,7 +42,8 @@ from real2sim import signals
 from real2sim.configuration import validated
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import DrivenForce, Fields, PlannedForce, Scales
+from real2sim.coupling.mechanisms.base import Fields, Scales
+from real2sim.coupling.mechanisms.planned import DrivenForce, PlannedForce
 from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import attribute
 from real2sim.diagnosis.decide import Decision, decide

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from real2sim.coupling.chains import Context
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Scales
+from real2sim.coupling.mechanisms.base import Scales
 from real2sim.coupling.plant import RestPose
 from real2sim.coupling.superset import EffectReplay
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.export import baked, to_mjcf
-from real2sim.coupling.mechanisms import DrivenForce
+from real2sim.coupling.mechanisms.planned import DrivenForce
 from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Where
+from real2sim.coupling.mechanisms.base import Where
 from real2sim.coupling.plant import impedances
 from real2sim.diagnosis import evidence, stage
 from real2sim.diagnosis.attribute import Attribution

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.coupling.mechanisms import SmoothFriction
+from real2sim.coupling.mechanisms.friction import SmoothFriction
 from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from real2sim.diagnosis.stage import _stages
 from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first

@@ -11,7 +11,9 @@ import pytest
 from real2sim.coupling import chains
 from real2sim.coupling.answers import Admittance, Answer, HoldIntegral, Reaction
 from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.coupling.mechanisms import PlannedForce, Where, bouc_wen, eyring, maxwell
+from real2sim.coupling.mechanisms.base import Where
+from real2sim.coupling.mechanisms.memory import bouc_wen, eyring, maxwell
+from real2sim.coupling.mechanisms.planned import PlannedForce
 from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import servo_command
 from real2sim.diagnosis import evidence

@@ -19,44 +19,35 @@ import numpy as np
 from real2sim.coupling import chains
 from real2sim.coupling.answers import Admittance, HoldIntegral, Reaction
 from real2sim.coupling.chains import Context, OffCentre, RestTurned, Retaped, Sighting, TurnedLab
-from real2sim.coupling.mechanisms import (
+from real2sim.coupling.mechanisms.base import Mechanism, Scales, Where
+from real2sim.coupling.mechanisms.frames import Coupling, RestShift, TurnedAxes, TurnedBack, TurnedLaw
+from real2sim.coupling.mechanisms.friction import Bristles, DryFriction, SmoothFriction, UnevenFriction
+from real2sim.coupling.mechanisms.memory import BoucWen, Elastoplastic, FlowingMaxwell, Maxwell, TwoTimes
+from real2sim.coupling.mechanisms.planned import (
     AnsweringForce,
-    BoucWen,
-    Bristles,
-    Coupling,
-    DryFriction,
-    Elastoplastic,
-    EvenSpring,
-    ExponentialSpring,
-    FlowingMaxwell,
-    GentleStop,
-    GentleStops,
     HangingMass,
-    InterfaceMass,
-    Maxwell,
-    Mechanism,
     OffCentreMass,
-    OneSided,
     PlannedForce,
-    Polynomial,
-    RestShift,
+    StandingForce,
+)
+from real2sim.coupling.mechanisms.robot import (
+    InterfaceMass,
     RobotImpedance,
     RobotRelaxation,
     Rocking,
-    Scales,
     SlackBeyondWheels,
-    SmoothFriction,
+    YieldBeyondWheels,
+)
+from real2sim.coupling.mechanisms.springs import (
+    EvenSpring,
+    ExponentialSpring,
+    GentleStop,
+    GentleStops,
+    OneSided,
+    Polynomial,
     SoftDeadBand,
     SplitSpring,
-    StandingForce,
     Stop,
-    TurnedAxes,
-    TurnedBack,
-    TurnedLaw,
-    TwoTimes,
-    UnevenFriction,
-    Where,
-    YieldBeyondWheels,
 )
 from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.geometry import AXES, PELVIS_MARKERS

@@ -14,21 +14,13 @@ from real2sim.coupling.answers import Answer
 from real2sim.coupling.chains import Context, Sight
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import Placed
-from real2sim.coupling.mechanisms import (
-    AnsweringForce,
-    DrivenForce,
-    DryFriction,
-    Fields,
-    FlowingMaxwell,
-    Maxwell,
-    PlannedForce,
-    RestShift,
-    Scales,
-    StandingForce,
-    Stop,
-    YieldBeyondWheels,
-    rest_moved,
-)
+from real2sim.coupling.mechanisms.base import Fields, Scales
+from real2sim.coupling.mechanisms.frames import RestShift, rest_moved
+from real2sim.coupling.mechanisms.friction import DryFriction
+from real2sim.coupling.mechanisms.memory import FlowingMaxwell, Maxwell
+from real2sim.coupling.mechanisms.planned import AnsweringForce, DrivenForce, PlannedForce, StandingForce
+from real2sim.coupling.mechanisms.robot import YieldBeyondWheels
+from real2sim.coupling.mechanisms.springs import Stop
 from real2sim.coupling.plant import ROBOT_JOINTS, RestPose, robot_pose_for
 from real2sim.coupling.replay import Replay, Simulated, StartPose, servo_command
 

@@ -12,7 +12,8 @@ from typing import TypeVar
 import numpy as np
 
 from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms import Scales, TwoTimes
+from real2sim.coupling.mechanisms.base import Scales
+from real2sim.coupling.mechanisms.memory import TwoTimes
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis

@@ -23,7 +23,7 @@ from real2sim import signals
 from real2sim.coupling.chains import Context, Elsewhere
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
-from real2sim.coupling.mechanisms import Scales, Where
+from real2sim.coupling.mechanisms.base import Scales, Where
 from real2sim.coupling.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
 from real2sim.coupling.superset import EffectReplay, InputBasis
 from real2sim.diagnosis.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts

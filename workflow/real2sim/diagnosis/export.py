@@ -12,7 +12,8 @@ import numpy as np
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS, Effect, Placed
 from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
-from real2sim.coupling.mechanisms import DrivenForce, Scales, Where
+from real2sim.coupling.mechanisms.base import Scales, Where
+from real2sim.coupling.mechanisms.planned import DrivenForce
 from real2sim.diagnosis.evidence import BALANCE, load_evidence
 from real2sim.diagnosis.noise import marker_noise
 from real2sim.diagnosis.refit import Hypothesis

@@ -7,6 +7,9 @@ import sys
 import mujoco
 from mujoco.batch import Batch
 
+# What MuJoCo says of a simulation with values that it does not bear
+_UNBEARABLE = ("simulation is unstable", "Inertia matrix is too close to singular")
+
 
 def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bool = False) -> Batch:
     """`mujoco.batch.Batch` of a model, stepped without MuJoCo's profiler.
@@ -23,5 +26,5 @@ def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bo
 
 
 def _warn(text: str) -> None:
-    if "simulation is unstable" not in text:
+    if not any(said in text for said in _UNBEARABLE):
         print(f"MuJoCo: {text}", file=sys.stderr, flush=True)

@@ -298,6 +298,7 @@ class OneAxisEvidence:
             np.eye(3),
             np.zeros(3),
             np.zeros((4, 3)),
+            np.zeros((2, 3)),
             np.zeros(3),
         )
 

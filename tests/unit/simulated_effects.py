@@ -67,6 +67,7 @@ def replay(
         np.eye(3),
         position[0] + neutral_at,
         PELVIS_SHAPE,
+        rest.position + half * np.array([rest.rotation[:, 1], -rest.rotation[:, 1]]),
         np.array([0.12, 0.0, 0.0]),
     )
     return EffectReplay(

@@ -22,6 +22,7 @@ from real2sim.diagnosis.search import Pair, Search
 from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
 from real2sim.identification.parameters import Bounds
 from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
+from real2sim.signals import lowpass
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -53,6 +54,7 @@ NEUTRAL = {
     "base_compliance beyond_wheels": None,  # what is never rigid is never absent
     "base_compliance play": None,
     "base_compliance rocking": None,
+    "base_compliance column": None,
     "migration _steady": [0.0],
     "controller_reaction": [0.0, 0.1, 0.1],
     "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
@@ -71,6 +73,7 @@ NEUTRAL = {
     "sync_offset each_trial": [0.0, 0.0],
     "clock_drift": [0.0],
     "marker_offset": [0.0] * 6,
+    "marker_offset on_strap": [0.0] * 3,
     "marker_drift": [0.0] * 3,
     **{f"marker_drift {marker.lower()}": [0.0] * 6 for marker in PELVIS_MARKERS},
     "slack": [-20.0],
@@ -782,3 +785,88 @@ def test_a_pelvis_that_is_early_is_an_offset_of_all_the_rest_and_no_lag_of_the_r
         np.array([0.03]), replace(context, pelvis_rotation=early[0], pelvis_position=early[1])
     )
     np.testing.assert_allclose(back[1][10:-10], context.pelvis_position[10:-10], atol=1e-5)
+
+
+def test_a_column_that_bends_carries_the_arm_and_its_log_does_not_show_it(plain):
+    placed = placed_whole("base_compliance", "column")
+    model = replay([placed])
+    away = []
+    for stiffness in (300.0, 3_000.0, 30_000.0):
+        paths, _ = model.run_effects(PRIOR[None], [np.log([[stiffness, 2 * stiffness, 0.03]])])
+        away.append(np.abs(paths[0] - plain[0]).max())
+        plant = model.as_simulated().model
+        data = mujoco.MjData(plant)
+        bends = [plant.joint(f"bending_{axis}_{placed.where.element}") for axis in "xy"]
+        for joint in bends:
+            data.qpos[joint.qposadr[0]] = 0.01
+        mujoco.mj_forward(plant, data)
+        force = data.qfrc_passive[[joint.dofadr[0] for joint in bends]]
+        np.testing.assert_allclose(force, [-0.01 * stiffness, -0.02 * stiffness])
+        np.testing.assert_allclose(data.site("interface_left").xpos, [0.01, 0.18, 0.95], atol=1e-12)
+    assert away[0] > 3 * away[1] > 9 * away[2]
+
+
+def test_markers_on_the_strap_go_a_part_of_the_way_with_the_person():
+    placed = placed_whole("marker_offset", "on_strap")
+    part = np.array([0.3, 0.2, 0.0])
+    context = replay([])._context
+    shift = np.array([0.004, -0.003, 0.002])
+    rng = np.random.default_rng(3)
+    robot = context.pelvis_position[:, None] + np.einsum(
+        "nij,kj->nki", context.pelvis_rotation, context.rest_shape + shift
+    )
+    robot = robot + 0.01 * rng.standard_normal(robot.shape)
+    seen = placed.effect.sighting.seen(robot[None], None, part[None], context)[0]
+    away = [
+        np.einsum("nji,nkj->nki", context.pelvis_rotation, paths - context.pelvis_position[:, None])
+        - context.rest_shape
+        for paths in (robot, seen)
+    ]
+    np.testing.assert_allclose(away[1], (1 - part) * away[0], atol=1e-12)
+
+
+def test_a_robot_starts_where_its_markers_would_be_if_they_sat_on_it():
+    placed = placed_whole("marker_offset", "on_strap")
+    sighting, values = placed.effect.sighting, np.array([0.4, 0.25, 0.1])
+    context = replay([])._context
+    rotation, position = context.pelvis_rotation[0], context.pelvis_position[: context.start].mean(axis=0)
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.02]).as_matrix()
+    centre = position + rotation @ REST.position + np.array([0.005, -0.004, 0.003])
+    true = centre + HALF * np.array([turn[:, 1], -turn[:, 1]])
+    still = replace(
+        context,
+        pelvis_rotation=np.tile(rotation, (len(context.time_s), 1, 1)),
+        pelvis_position=np.tile(position, (len(context.time_s), 1)),
+    )
+    paths = np.tile(true, (1, len(context.time_s), 1, 1))
+    markers = sighting.seen(paths, None, values[None], still)[0]
+    seen_rotation, seen_position = interface_frame(markers[0, 0], markers[0, 1], np.array([0.0, 0.0, 1.0]))
+    sight = chains.Sight(seen_rotation, seen_position, REST.rotation, REST.position)
+    found = sighting.true(values, sight, replace(still, measured=markers), ())
+    np.testing.assert_allclose(found.position, centre, atol=1e-5)
+    np.testing.assert_allclose(found.rotation, turn, atol=1e-4)
+
+
+def test_a_trailing_mean_is_the_mean_of_the_last_samples():
+    context = SimpleNamespace(time_s=np.arange(300) / 100)
+    rng = np.random.default_rng(4)
+    path = lowpass(rng.standard_normal((300, 6)).cumsum(axis=0), 100, 5, 4).reshape(1, 300, 2, 3)
+    seen = chains.averaged_markers(path, np.array([[0.1]]), context)
+    before = np.concatenate([np.repeat(path[:, :1], 10, axis=1), path], axis=1)
+    trapezium = np.array(
+        [(before[0, i : i + 11].sum(axis=0) - before[0, [i, i + 10]].mean(axis=0)) for i in range(300)]
+    )
+    assert np.abs(seen[0] - trapezium / 10).max() < 2e-3 * np.ptp(path)
+
+
+@pytest.mark.parametrize(("form", "value"), [("", 5.0), ("first_order_", 5.0), ("mean_", 0.1)])
+def test_a_log_that_was_laid_on_filtered_markers_is_as_late_as_they_are(form, value):
+    """A ramp behind a filter is the ramp, later: by the filter's lag to what is slow."""
+    effect = placed_whole("filter_lag", f"{form}with_log").effect
+    context = SimpleNamespace(time_s=np.arange(600) / 100)
+    ramp = np.tile(np.maximum(context.time_s - 1.0, 0.0)[:, None], (1, 1, 6))
+    values = np.array([[value]])
+    markers = effect.output_chain(ramp.reshape(1, 600, 2, 3), values, context)
+    log = effect.log_chain(ramp, values, context)
+    assert log[0, -1, 0] < ramp[0, -1, 0] - 0.02
+    np.testing.assert_allclose(log[0, 300:, 0], markers[0, 300:, 0, 0], atol=1.5e-3)

@@ -6,6 +6,7 @@ the markers show. A `Sighting` sets the plant up otherwise. Planned forces are c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -14,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from real2sim.geometry import interface_frame, pelvis_frame
+from real2sim.geometry import interface_frame, mean_rotation, pelvis_frame
 
 
 @dataclass
@@ -26,8 +27,9 @@ class Context:
     ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, 6) of the interface, measured; ``neutral_rotation`` (3, 3) and
     ``neutral_position`` (3,) of the pelvis in the neutral trial [m, world], where the rest pose was taken;
-    ``pelvis_shape`` (4, 3) where the pelvis' markers are on it [m]; ``on_arm`` (3,) where the interface is on the
-    robot's arm, whose roll and pitch it turns with [m]; ``held_out``: the trial is not the one that is fitted.
+    ``pelvis_shape`` (4, 3) where the pelvis' markers are on it and ``rest_shape`` (2, 3) where those of the interface
+    are to it at rest [m]; ``on_arm`` (3,) where the interface is on the robot's arm, whose roll and pitch it turns with
+    [m]; ``held_out``: the trial is not the one that is fitted.
     """
 
     time_s: np.ndarray
@@ -44,6 +46,7 @@ class Context:
     neutral_rotation: np.ndarray
     neutral_position: np.ndarray
     pelvis_shape: np.ndarray
+    rest_shape: np.ndarray
     on_arm: np.ndarray
     held_out: bool = False
 
@@ -140,6 +143,39 @@ class Retaped(OffCentre):
         """Pose at the start from the centres; rest pose as seen."""
         sight = super().true(values, seen, context, axes)
         return replace(sight, rest_rotation=seen.rest_rotation, rest_position=seen.rest_position)
+
+
+class OnStrap:
+    """Markers that sit on the strap, which goes a part of the way with the person: values (m, 3) are that part.
+
+    By axis of the pelvis; 0 is a marker on the robot, 1 one that stays where the pelvis has it at rest.
+    """
+
+    of_markers = True
+
+    def true(self, values, seen, context, axes):
+        """Pose from where the markers would be on the robot; at rest they are where they were seen."""
+        first = slice(0, context.start)
+        pelvis, origin = (
+            mean_rotation(context.pelvis_rotation[first]),
+            context.pelvis_position[first].mean(axis=0),
+        )
+        left, right = np.nanmean(context.measured[first], axis=0)
+        half = float(np.linalg.norm(left - right)) / 2
+        markers = seen.position + half * np.array([seen.rotation[:, 1], -seen.rotation[:, 1]])
+        # what is seen goes (1 - part) of the way that the robot goes
+        way = ((markers - origin) @ pelvis - context.rest_shape) / (1 - values)
+        left, right = origin + (context.rest_shape + way) @ pelvis.T
+        rotation, position = interface_frame(left, right, seen.rotation[:, 2])
+        turned = seen.rotation @ rotation.T
+        heading = seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0]))
+        return replace(seen, rotation=rotation, position=position, heading=heading)
+
+    def seen(self, paths, rotation, values, context):
+        """A part of the way from the robot to where the pelvis has the marker at rest."""
+        pelvis, origin = context.pelvis_rotation, context.pelvis_position
+        way = np.einsum("nji,mnkj->mnki", pelvis, paths - origin[None, :, None]) - context.rest_shape
+        return paths - np.einsum("nij,mnkj->mnki", pelvis, values[:, None, None] * way)
 
 
 class RestTurned:
@@ -296,7 +332,7 @@ def _from_cardan(angles):
 
 
 def _at_times(paths, time_s, wanted):
-    # paths (m, n, 2, 3) at other times: what lies outside stays at the end
+    # paths (m, n, ...) at other times: what lies outside stays at the end
     clipped = np.clip(wanted, time_s[0], time_s[-1])
     out = np.empty_like(paths)
     for i in range(len(paths)):
@@ -315,19 +351,55 @@ def drifting_clock(paths, values, context):
     return _at_times(paths, context.time_s, context.time_s[0] + t[None] * (1 + values[:, :1]))
 
 
+def _butterworth(paths, order, cutoff_hz, rate_hz):
+    """Paths (n, ...) behind a causal low-pass that has stood at the first sample."""
+    sos = butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    return paths[:1] + sosfilt(sos, paths - paths[:1], axis=0)
+
+
+def _trailing_mean(paths, window_s, rate_hz):
+    """Mean of paths (n, ...) over the last ``window_s``, which had stood at the first sample."""
+    time_s = np.arange(len(paths)) / rate_hz
+    moved = CubicSpline(time_s, paths - paths[:1]).antiderivative()
+    return paths[:1] + (moved(time_s) - moved(np.maximum(time_s - window_s, 0.0))) / window_s
+
+
+def _rate(context):
+    return 1 / (context.time_s[1] - context.time_s[0])
+
+
 def filtered_markers(order: int):
     """Output chain of a causal Butterworth low-pass of an order, values (m, 1) are its cut-offs [Hz]."""
 
     def filtered(paths, values, context):
-        rate = 1 / (context.time_s[1] - context.time_s[0])
-        out = np.empty_like(paths)
-        for i, cutoff in enumerate(values[:, 0]):
-            sos = butter(order, cutoff, fs=rate, output="sos")
-            start = paths[i, :1]
-            out[i] = start + sosfilt(sos, paths[i] - start, axis=0)
-        return out
+        rows = zip(paths, values[:, 0], strict=True)
+        return np.array([_butterworth(path, order, cutoff, _rate(context)) for path, cutoff in rows])
 
     return filtered
+
+
+def lag_of_filter(order: int):
+    """Lag (m,) [s] of such a filter to what is slow, of cut-offs (m, 1) [Hz]."""
+    poles = np.pi * (2 * np.arange(1, order + 1) - 1) / (2 * order)
+    return lambda values: np.sin(poles).sum() / (2 * np.pi * values[:, 0])
+
+
+def averaged_markers(paths, values, context):
+    """Marker paths (m, n, 2, 3) as means over trailing windows (m, 1) [s]."""
+    rows = zip(paths, values[:, 0], strict=True)
+    return np.array([_trailing_mean(path, window, _rate(context)) for path, window in rows])
+
+
+def late_log(lag_of: Callable[[np.ndarray], np.ndarray]):
+    """Chain of a robot log that was laid on filtered markers by motion: joints (m, n, 6) as late as they are.
+
+    ``lag_of`` values (m, p) is their lag (m,) to what is slow [s].
+    """
+
+    def late(joints, values, context):
+        return _at_times(joints, context.time_s, context.time_s[None] - lag_of(values)[:, None])
+
+    return late
 
 
 def drifting_marker(side: int):

@@ -18,7 +18,7 @@ import numpy as np
 
 from real2sim.coupling import chains
 from real2sim.coupling.answers import Admittance, HoldIntegral, Reaction
-from real2sim.coupling.chains import Context, OffCentre, RestTurned, Retaped, Sighting, TurnedLab
+from real2sim.coupling.chains import Context, OffCentre, OnStrap, RestTurned, Retaped, Sighting, TurnedLab
 from real2sim.coupling.mechanisms.base import Mechanism, Scales, Where
 from real2sim.coupling.mechanisms.frames import Coupling, RestShift, TurnedAxes, TurnedBack, TurnedLaw
 from real2sim.coupling.mechanisms.friction import Bristles, DryFriction, SmoothFriction, UnevenFriction
@@ -31,6 +31,7 @@ from real2sim.coupling.mechanisms.planned import (
     StandingForce,
 )
 from real2sim.coupling.mechanisms.robot import (
+    Bending,
     InterfaceMass,
     RobotImpedance,
     RobotRelaxation,
@@ -103,6 +104,7 @@ class Effect:
     plant: Mechanism | None = None
     input_chain: Callable[[np.ndarray, Context], tuple[np.ndarray, np.ndarray]] | None = None
     output_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
+    log_chain: Callable[[np.ndarray, np.ndarray, Context], np.ndarray] | None = None
     sighting: Sighting | None = None
     skin: Callable[[np.ndarray, Context], np.ndarray] | None = None
     form: str = ""
@@ -229,11 +231,16 @@ def _d(scales: Scales, axis: int) -> float:
     return float(scales.d[axis])
 
 
+def _half(values: np.ndarray) -> np.ndarray:
+    return values[:, 0] / 2
+
+
 def _linear(name: str, unit: str, sd: float, bound: float) -> EffectParameter:
     return EffectParameter(name, unit, -bound, bound, (0.0,), prior_sd=sd)
 
 
 _LADDER = "one motion at three amplitudes, from smaller than the slack upward"
+_WINDOW = EffectParameter("window", "s", 0.02, 0.6, (0.08,), log=True)
 _SPEEDS = "the same amplitude at three speeds"
 _HOLDS = "steps with holds of 5-10 s"
 _JERK = "one sharp jerk at the start and at the end, seen by all systems"
@@ -797,6 +804,23 @@ EFFECTS: tuple[Effect, ...] = (
         form="rocking",
     ),
     Effect(
+        "base_compliance",
+        "robot",
+        "the column that carries the arm bends along x and y, unseen by the log: springs and dampers below the arm",
+        (
+            *(
+                EffectParameter(f"column_stiffness_{axis}", "N/m", 100.0, 100_000.0, (3_000.0,), log=True)
+                for axis in ("x", "y")
+            ),
+            EffectParameter("time_constant", "s", 0.002, 1.0, (0.03,), log=True),
+        ),
+        "M",
+        "the robot's own log, brakes on against brakes off",
+        scope="whole",
+        plant=Bending(),
+        form="column",
+    ),
+    Effect(
         "controller_reaction",
         "robot",
         "F_base = g y, T y' = F_interaction(t - delay) - y",
@@ -1018,6 +1042,46 @@ EFFECTS: tuple[Effect, ...] = (
         )
     ),
     Effect(
+        "filter_lag",
+        "output",
+        "y as the mean of its last samples",
+        (_WINDOW,),
+        "T",
+        "fast content near the filter's cut-off",
+        scope="whole",
+        form="mean",
+        output_chain=chains.averaged_markers,
+        remedy="Take the mean of the simulated interface markers over this window, or export the markers without it",
+    ),
+    *(
+        Effect(
+            "filter_lag",
+            "output",
+            f"y {name}, and the robot's log as late, for it was laid on such markers",
+            (parameter,),
+            "T",
+            "fast content near the filter's cut-off",
+            scope="whole",
+            form=f"{form}with_log",
+            output_chain=chain,
+            log_chain=chains.late_log(lag),
+            remedy="Export the interface markers without the filter, and lay the robot's log on them anew",
+        )
+        for name, form, parameter, chain, lag in (
+            ("as the mean of its last samples", "mean_", _WINDOW, chains.averaged_markers, _half),
+            *(
+                (
+                    f"low-passed by a causal filter of {name} order",
+                    form,
+                    EffectParameter("cutoff", "Hz", 0.5, 10.0, (6.0,), log=True),
+                    chains.filtered_markers(order),
+                    chains.lag_of_filter(order),
+                )
+                for order, name, form in ((1, "first", "first_order_"), (2, "second", ""))
+            ),
+        )
+    ),
+    Effect(
         "marker_offset",
         "output",
         "a marker sits off the joint centre, fixed in the interface",
@@ -1044,6 +1108,21 @@ EFFECTS: tuple[Effect, ...] = (
         remedy=(
             "Take from each interface marker its offset, turned with the interface, in all trials but neutral, and"
             " ingest anew. The start pose of this model is the true one; its sites are where the markers were in it"
+        ),
+    ),
+    Effect(
+        "marker_offset",
+        "output",
+        "the interface's markers sit on the strap and go a part of the way with the person",
+        tuple(EffectParameter(f"part_{c}", "1", -0.2, 0.9, (0.1,)) for c in "xyz"),
+        "S",
+        "static poses at several headings",
+        scope="whole",
+        sighting=OnStrap(),
+        form="on_strap",
+        remedy=(
+            "Tape the markers to the robot's side of the interface. Start of this model is where the robot truly was;"
+            " its sites go all the way with the robot"
         ),
     ),
     *(

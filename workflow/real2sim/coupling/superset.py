@@ -283,6 +283,8 @@ class EffectReplay(Replay):
         for placed, value in zip(self.effects, values, strict=True):
             if placed.effect.output_chain is not None and len(done):
                 paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
+            if placed.effect.log_chain is not None and len(done):
+                joints[done] = placed.effect.log_chain(joints[done], value[done], self._context)
         assert len(paths) == m
         return paths, joints
 

@@ -506,6 +506,12 @@ def _pelvis_shape(trial: Trial) -> np.ndarray:
     return np.asarray(np.nanmean(np.einsum("nji,nkj->nki", rotation, away), axis=0))
 
 
+def _rest_shape(trial: Trial) -> np.ndarray:
+    """Where the interface's markers are to the pelvis at rest, (2, 3) [m]."""
+    half = float(np.nanmean(np.linalg.norm(trial.interface[:, 0] - trial.interface[:, 1], axis=1))) / 2
+    return trial.rest.position + half * np.array([trial.rest.rotation[:, 1], -trial.rest.rotation[:, 1]])
+
+
 def load_evidence(
     *,
     folder: Path,
@@ -563,6 +569,7 @@ def load_evidence(
         signals.lowpass(qd, rate, cutoff, 4),
         *mean_pelvis(neutral),
         _pelvis_shape(trial),
+        _rest_shape(trial),
         twin.body("interface").pos,
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])

@@ -148,3 +148,28 @@ class Rocking:
             fields["jnt_stiffness"][:, joint.id] = stiffness
             fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]
             fields["dof_armature"][:, joint.dofadr[0]] = values[:, 3]
+
+
+class Bending:
+    """The column between base and arm bends, which no encoder sees.
+
+    Values (m, 3) are stiffness along x and y [N/m] and time constant of the damping [s]. The slides are hidden, behind
+    the arm's own joints.
+    """
+
+    def _names(self, where: Where) -> list[str]:
+        return [f"bending_{axis}_{where.element}" for axis in "xy"]
+
+    def build(self, spec, where):
+        """Two slides that carry the arm."""
+        for name, axis in zip(self._names(where), np.eye(3)[:2], strict=True):
+            spec.body("arm").add_joint(
+                name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, stiffness=[1, 0, 0], damping=[1, 0, 0]
+            )
+
+    def set(self, fields, where, parameters, values):
+        """Springs and dampers."""
+        for name, stiffness in zip(self._names(where), values[:, :2].T, strict=True):
+            joint = fields.model.joint(name)
+            fields["jnt_stiffness"][:, joint.id] = stiffness
+            fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]

@@ -803,6 +803,13 @@ def test_a_column_that_bends_carries_the_arm_and_its_log_does_not_show_it(plain)
         force = data.qfrc_passive[[joint.dofadr[0] for joint in bends]]
         np.testing.assert_allclose(force, [-0.01 * stiffness, -0.02 * stiffness])
         np.testing.assert_allclose(data.site("interface_left").xpos, [0.01, 0.18, 0.95], atol=1e-12)
+        # the column stands on the base: it does not turn with the arm that it carries
+        data.qpos[plant.joint("arm_pitch").qposadr[0]] = 0.3
+        mujoco.mj_kinematics(plant, data)
+        bent = data.site("interface_left").xpos.copy()
+        data.qpos[bends[0].qposadr[0]] = 0.03
+        mujoco.mj_kinematics(plant, data)
+        np.testing.assert_allclose(data.site("interface_left").xpos - bent, [0.02, 0.0, 0.0], atol=1e-12)
     assert away[0] > 3 * away[1] > 9 * away[2]
 
 

@@ -117,11 +117,37 @@ class SlackBeyondWheels(YieldBeyondWheels):
             fields["tendon_lengthspring"][:, fields.tendon(name)] += band
 
 
+# What a joint is told by, and no more
+_OF_SPEC = ("id", "parent", "frame", "signature", "classname", "compiler", "set_frame")
+
+
+def _carry(spec: mujoco.MjSpec, name: str, carrying: list[dict]) -> None:
+    """Add joints with springs and dampers that carry a body with its own joints.
+
+    MuJoCo appends joints, and a later one turns with the earlier ones: the body's own are taken off and put back.
+    """
+    body = spec.body(name)
+    own = []
+    for joint in list(body.joints):
+        told = [key for key in dir(joint) if not key.startswith("_") and key not in _OF_SPEC]
+        values = {key: getattr(joint, key) for key in told}
+        own.append(
+            {key: value.copy() if isinstance(value, np.ndarray) else value for key, value in values.items()}
+        )
+        spec.delete(joint)
+    for attributes in carrying:
+        body.add_joint(stiffness=[1, 0, 0], damping=[1, 0, 0], **attributes)
+    for attributes in own:
+        joint = body.add_joint()
+        for key, value in attributes.items():
+            setattr(joint, key, value)
+
+
 class Rocking:
     """The robot rocks on its suspension, which no encoder sees: what carries the arm turns about the floor.
 
     Values (m, 4) are stiffness in roll and pitch [Nm/rad], time constant of the damping [s] and inertia of what rocks
-    beside the arm [kg m2]. The hinges are hidden, behind the arm's own.
+    beside the arm [kg m2]. The hinges are hidden and carry the arm.
     """
 
     def _names(self, where: Where) -> list[str]:
@@ -131,15 +157,11 @@ class Rocking:
         """Two hinges on the floor below the middle of the base."""
         arm = spec.body("arm")
         base = np.array([arm.pos[0], arm.pos[1], arm.pos[2] + arm.parent.pos[2]])
-        for name, axis in zip(self._names(where), np.eye(3)[:2], strict=True):
-            arm.add_joint(
-                name=name,
-                type=mujoco.mjtJoint.mjJNT_HINGE,
-                axis=axis,
-                pos=-base,
-                stiffness=[1, 0, 0],
-                damping=[1, 0, 0],
-            )
+        joints = zip(self._names(where), np.eye(3)[:2], strict=True)
+        hinge = mujoco.mjtJoint.mjJNT_HINGE
+        _carry(
+            spec, "arm", [{"name": name, "type": hinge, "axis": axis, "pos": -base} for name, axis in joints]
+        )
 
     def set(self, fields, where, parameters, values):
         """Springs, dampers and inertia."""
@@ -153,8 +175,8 @@ class Rocking:
 class Bending:
     """The column between base and arm bends, which no encoder sees.
 
-    Values (m, 3) are stiffness along x and y [N/m] and time constant of the damping [s]. The slides are hidden, behind
-    the arm's own joints.
+    Values (m, 3) are stiffness along x and y [N/m] and time constant of the damping [s]. The slides are hidden and
+    carry the arm.
     """
 
     def _names(self, where: Where) -> list[str]:
@@ -162,10 +184,9 @@ class Bending:
 
     def build(self, spec, where):
         """Two slides that carry the arm."""
-        for name, axis in zip(self._names(where), np.eye(3)[:2], strict=True):
-            spec.body("arm").add_joint(
-                name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, stiffness=[1, 0, 0], damping=[1, 0, 0]
-            )
+        joints = zip(self._names(where), np.eye(3)[:2], strict=True)
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        _carry(spec, "arm", [{"name": name, "type": slide, "axis": axis} for name, axis in joints])
 
     def set(self, fields, where, parameters, values):
         """Springs and dampers."""

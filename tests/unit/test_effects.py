@@ -67,6 +67,7 @@ NEUTRAL = {
     "soft_tissue": [0.0] * 18,
     "soft_tissue wobble": None,  # skin that rings is never absent
     "lab_yaw": [0.0],
+    "migration _settling": [0.0],
     "replay_lag": [0.0],
     "sync_offset": [0.0],
     "sync_offset with_log": [0.0],
@@ -877,3 +878,27 @@ def test_a_log_that_was_laid_on_filtered_markers_is_as_late_as_they_are(form, va
     log = effect.log_chain(ramp, values, context)
     assert log[0, -1, 0] < ramp[0, -1, 0] - 0.02
     np.testing.assert_allclose(log[0, 300:, 0], markers[0, 300:, 0, 0], atol=1.5e-3)
+
+
+def test_a_pelvis_that_was_seen_too_large_is_where_it_was_with_the_rest_pose_that_was_taken_of_it():
+    """True pelvis and rest pose, and the seen rest pose on what replays instead, put the interface in one place."""
+    context = replay([], neutral_at=np.array([0.4, -0.2, 0.0]))._context
+    rotation, position = chains.scaled_motion(np.array([0.03]), context)
+    true = context.pelvis_position / 1.03
+    neutral, stood = context.neutral_rotation, context.neutral_position
+    interface_at_neutral = stood + neutral @ REST.position
+    true_rest = neutral.T @ (interface_at_neutral - stood / 1.03)
+    np.testing.assert_allclose(position + rotation @ REST.position, true + rotation @ true_rest, atol=1e-12)
+
+
+def test_a_strap_that_settles_pulls_towards_where_it_goes():
+    placed = next(
+        Placed(e, e.places()[0], SCALES) for e in EFFECTS if (e.name, e.form) == ("migration", "_settling")
+    )
+    context = replay([placed])._context
+    values = np.array([[0.01, 0.5]])
+    force = placed.effect.plant.force(values, context, placed.where, PRIOR[None])[0, :, 0]
+    since = context.step_time_s - context.time_s[context.start]
+    assert not force[since <= 0].any()
+    moving = since > 0
+    np.testing.assert_allclose(force[moving], PRIOR[0] * 0.01 * -np.expm1(-since[moving] / 0.5), rtol=1e-9)

@@ -236,6 +236,16 @@ def turned_motion(values, context):
     return rotation @ fixed, context.pelvis_position @ turn.T + rotation @ offset
 
 
+def scaled_motion(values, context):
+    """Pelvis path (n, 3, 3), (n, 3) [m] seen too large by a share (1,) about the lab's origin.
+
+    The rest pose was taken in the neutral trial, where the pelvis stood elsewhere than it was seen too.
+    """
+    true = 1 / (1 + values[0])
+    at_rest = context.neutral_rotation.T @ context.neutral_position * (1 - true)
+    return context.pelvis_rotation, context.pelvis_position * true + context.pelvis_rotation @ at_rest
+
+
 def earlier_pelvis(values, context):
     """Pelvis path (n, 3, 3), (n, 3) of a pelvis that was late by a lag (1,) [s]."""
     # the measured pelvis is late: it was there already
@@ -466,5 +476,16 @@ def ratchet(values, context, where, parameters):
 def wandering(values, context, where, parameters):
     """Forces (m, steps, 1) [N, Nm] on the strap joint of rates (m, 1) [m/s, rad/s]."""
     # the rest pose wanders at one rate from where the person starts to move
-    since = np.maximum(context.step_time_s - context.time_s[context.start], 0.0)
-    return parameters[:, where.axes[0], None, None] * values[:, None, :] * since[:, None]
+    return parameters[:, where.axes[0], None, None] * values[:, None, :] * _since_motion(context)[:, None]
+
+
+def settling(values, context, where, parameters):
+    """Forces (m, steps, 1) [N, Nm] on the strap joint of ways (m, 0) [m, rad] and time constants (m, 1) [s]."""
+    # the rest pose goes over to another from where the person starts to move
+    gone = 1 - np.exp(-_since_motion(context) / values[:, 1:])
+    return (parameters[:, where.axes[0], None] * values[:, :1] * gone)[..., None]
+
+
+def _since_motion(context):
+    """Time (steps,) [s] from where the person starts to move."""
+    return np.maximum(context.step_time_s - context.time_s[context.start], 0.0)

@@ -538,6 +538,23 @@ EFFECTS: tuple[Effect, ...] = (
         remedy="Add a force k rate t to the strap joint, k its stiffness, t from where the person starts to move",
     ),
     Effect(
+        "migration",
+        "interface",
+        "F = k (q - a (1 - exp(-t / tau))): the rest pose goes over to another from where the person starts to move",
+        (
+            EffectParameter("way", "m|rad", -1.0, 1.0, (-0.2, 0.2), _q),
+            EffectParameter("time_constant", "s", 0.5, 10.0, (3.0,), log=True),
+        ),
+        "Dft",
+        _STAND,
+        plant=PlannedForce(chains.settling),
+        form="_settling",
+        remedy=(
+            "Add a force k way (1 - exp(-t / time_constant)) to the strap joint, k its stiffness, t from where the"
+            " person starts to move"
+        ),
+    ),
+    Effect(
         "cross_coupling",
         "interface",
         "F_i = K_ij q_j, F_j = K_ij q_i",
@@ -958,6 +975,18 @@ EFFECTS: tuple[Effect, ...] = (
         form="interface",
         remedy="Turn the interface's markers of all trials by minus the yaw about the vertical through the lab's origin"
         " and ingest anew; start and rest pose of this model are those of the turned markers",
+    ),
+    Effect(
+        "lab_yaw",
+        "input",
+        "the pelvis is seen in a lab of another scale than the interface and the robot",
+        (EffectParameter("too_large", "1", -0.1, 0.1, (0.01,)),),
+        "F",
+        "a static wand seen by both systems",
+        scope="whole",
+        input_chain=chains.scaled_motion,
+        form="scale",
+        remedy="Divide the pelvis' markers of all trials by 1 + too_large about the lab's origin and ingest anew",
     ),
     Effect(
         "replay_lag",

@@ -80,6 +80,7 @@ NEUTRAL = {
     "slack": [-20.0],
     "relaxation _flow": [-20.0, 0.0, 0.0],
     "slack _soft": [-20.0, 0.5],
+    "slack _undamped": None,  # the measured coordinate passes through zero
 }
 
 
@@ -902,3 +903,33 @@ def test_a_strap_that_settles_pulls_towards_where_it_goes():
     assert not force[since <= 0].any()
     moving = since > 0
     np.testing.assert_allclose(force[moving], PRIOR[0] * 0.01 * -np.expm1(-since[moving] / 0.5), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "side"), [("slack", 0), ("one_sided", 1), ("one_sided", -1)])
+def test_a_strap_that_is_loose_does_not_damp(name, side):
+    effect = next(e for e in EFFECTS if (e.name, e.form) == (name, "_undamped"))
+    where = next(w for w in effect.places() if w.axes == (1,) and w.side == side)
+    placed = Placed(effect, where, SCALES)
+    model = replay([placed])
+    x = np.array([[np.log(0.2)]]) if name == "slack" else np.array([[0.2, 0.75]])
+    model.run_effects(PRIOR[None], [x])
+    plant, width = model.as_simulated().model, 0.2 * SCALES.q[1]
+    q = model._context.coordinates[:, 1]
+    loose = np.abs(q) < width - 1e-4 if name == "slack" else side * q < width - 1e-4
+    tight = np.abs(q) > width + 1e-4 if name == "slack" else side * q > width + 1e-4
+    assert loose.any()
+    assert tight.any()
+    control = effect.plant.force(placed.values(x), model._context, where, PRIOR[None])[0, :, 0]
+    data = mujoco.MjData(plant)
+    dof, column = plant.joint(STRAP_JOINTS[1]).dofadr[0], effect.plant.columns(plant, where)[0]
+    damping = []
+    for at in (np.argmax(loose), np.argmax(tight)):
+        forces = []
+        for rate in (0.0, 0.1):
+            data.ctrl[:], data.qvel[:] = 0, 0
+            data.ctrl[column], data.qvel[dof] = control[at], rate
+            mujoco.mj_forward(plant, data)
+            forces.append(data.qfrc_passive[dof] + data.actuator_force[column])
+        damping.append((forces[0] - forces[1]) / 0.1)
+    kept = 0.0 if name == "slack" else 0.25
+    np.testing.assert_allclose(damping, [kept * PRIOR[7], PRIOR[7]], atol=1e-6)

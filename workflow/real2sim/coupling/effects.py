@@ -26,6 +26,7 @@ from real2sim.coupling.mechanisms.memory import BoucWen, Elastoplastic, FlowingM
 from real2sim.coupling.mechanisms.planned import (
     AnsweringForce,
     HangingMass,
+    LooseDamper,
     OffCentreMass,
     PlannedForce,
     StandingForce,
@@ -290,6 +291,22 @@ EFFECTS: tuple[Effect, ...] = (
         replaces_spring=True,
     ),
     Effect(
+        "slack",
+        "interface",
+        "as slack; inside, the strap does not damp either",
+        (EffectParameter("half_width", "m|rad", 0.01, 1.2, (0.1, 0.4), _q, log=True),),
+        "A",
+        _LADDER,
+        plant=LooseDamper(
+            SplitSpring(lambda v, where: (-v[:, 0], v[:, 0], 1.0, 1.0)),
+            lambda v, q, side: np.abs(q) > v,
+            lambda v: np.zeros(len(v)),
+        ),
+        form="_undamped",
+        remedy="Let the strap's joint damp only beyond half_width",
+        replaces_spring=True,
+    ),
+    Effect(
         "one_sided",
         "interface",
         "F = k ((1 - s) q + s max(q - q0, 0)), or its mirror image: a share of the strap pulls to one side alone",
@@ -302,6 +319,26 @@ EFFECTS: tuple[Effect, ...] = (
         _LADDER,
         scope="side",
         plant=OneSided(),
+        replaces_spring=True,
+    ),
+    Effect(
+        "one_sided",
+        "interface",
+        "as one_sided; where that share of the strap is loose it does not damp either",
+        (
+            EffectParameter("engages_at", "m|rad", -0.05, 0.5, (0.03,), _q),
+            EffectParameter("share", "1", 0.05, 1.0, (0.4, 0.8)),
+        ),
+        "S",
+        _LADDER,
+        scope="side",
+        plant=LooseDamper(
+            OneSided(),
+            lambda v, q, side: 1 - v[:, 1:] * (side * q < v[:, :1]),
+            lambda v: 1 - v[:, 1],
+        ),
+        form="_undamped",
+        remedy="Scale the damping of the strap's joint by 1 - share while it is on the loose side",
         replaces_spring=True,
     ),
     Effect(

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from real2sim.coupling.answers import Law
-from real2sim.coupling.mechanisms.base import Where
+from real2sim.coupling.mechanisms.base import Mechanism, Where
 from real2sim.coupling.mechanisms.robot import InterfaceMass
 from real2sim.coupling.plant import STRAP_JOINTS
 
@@ -51,6 +52,42 @@ class PlannedForce(DrivenForce):
     def __init__(self, force: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
         super().__init__(joints)
         self.force = force
+
+
+class LooseDamper(PlannedForce):
+    """A strap that does not damp where it is loose, beside a ``spring`` that does not pull there.
+
+    ``tight`` maps values (m, p), coordinate (steps,) and side to the share (m, steps) of the axis' damper that is at
+    work, ``always`` values to the share (m,) that is so everywhere. Where the strap is loose is told by the measured
+    coordinate; what is damped is the simulated motion.
+    """
+
+    def __init__(
+        self, spring: Mechanism, tight: Callable[..., np.ndarray], always: Callable[..., np.ndarray]
+    ):
+        super().__init__(self._at_work)
+        self._spring, self._tight, self._always = spring, tight, always
+
+    def build(self, spec, where):
+        """The spring, and an actuator that damps by its control."""
+        self._spring.build(spec, where)
+        super().build(spec, where)
+        for name in self._names(where):
+            damper = spec.actuator(name)
+            damper.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
+            damper.gainprm[:3] = 0, 0, -1
+
+    def set(self, fields, where, parameters, values):
+        """The joint keeps what damps everywhere."""
+        self._spring.set(fields, where, parameters, values)
+        axis = where.axes[0]
+        fields["dof_damping"][:, fields.dof(axis)] = self._always(values) * parameters[:, 6 + axis]
+
+    def _at_work(self, values, context, where, parameters):
+        axis = where.axes[0]
+        q = CubicSpline(context.time_s, context.coordinates[:, axis])(context.step_time_s)
+        share = self._tight(values, q, where.side) - self._always(values)[:, None]
+        return (parameters[:, 6 + axis, None] * share)[..., None]
 
 
 class StandingForce(PlannedForce):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.diagnosis.attribute import is_makeshift
@@ -9,6 +10,7 @@ from real2sim.diagnosis.decide import (
     NONE,
     UNKNOWN,
     Candidate,
+    averaged,
     decide,
     further_price,
     is_out_of_reach,
@@ -104,6 +106,51 @@ def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue(
     assert decision.verdict == UNKNOWN
     assert decision.chosen is None
     assert sum(decision.probabilities.values()) == pytest.approx(1)
+
+
+def test_three_laws_of_one_axis_are_a_cause_outside_the_catalogue():
+    def placed(name: str, axis: int) -> Placed:
+        effect = next(e for e in EFFECTS if e.name == name)
+        return Placed(effect, next(w for w in effect.places() if w.axes == (axis,)), SCALES)
+
+    assert not is_makeshift((placed("migration", 2), placed("joint_limit", 2)), leaves_noise=True)
+    assert is_makeshift(
+        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 2)), leaves_noise=True
+    )
+    assert not is_makeshift(
+        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 1)), leaves_noise=True
+    )
+
+
+def test_two_time_constants_share_with_what_is_unknown_unless_one_does_as_well():
+    plain = Candidate((), 0, (90_000.0, 95_000.0))
+    two = Candidate(("relaxation",), 4, (2_800.0, 2_900.0), doubtful=True)
+    alone = decide(plain, [Candidate(("relaxation",), 2, (3_500.0, 3_900.0)), two], (2880, 2880), CALIBRATION)
+    assert alone.verdict == "relaxation"
+    assert alone.probabilities[UNKNOWN] == pytest.approx(CALIBRATION["doubtful"], abs=0.01)
+    as_well = decide(
+        plain, [Candidate(("relaxation",), 2, (2_802.0, 2_903.0)), two], (2880, 2880), CALIBRATION
+    )
+    assert as_well.probabilities["relaxation"] > 0.99
+    assert sum(alone.probabilities.values()) == pytest.approx(1)
+
+
+def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
+    """A tilt of a robot let go and a robot at rest beside nothing, 60 of chi-squared apart: neither is certain."""
+    plain = Candidate((), 0, (6_000.0, 6_000.0))
+    let_go = decide(plain, [Candidate(("tilt",), 2, (2_787.0, 2_663.0))], (2880, 2880), CALIBRATION)
+    quiet = Candidate((), 0, (2_827.0, 2_721.0))
+    at_rest = decide(quiet, [Candidate(("tilt",), 2, (2_827.0, 2_721.0))], (2880, 2880), CALIBRATION)
+    assert (let_go.verdict, at_rest.verdict) == ("tilt", NONE)
+    mixed = averaged(at_rest, let_go, (5_548.0, 5_608.0), CALIBRATION["none_temperature"])
+    assert mixed.verdict == NONE
+    assert mixed.group == (NONE, "tilt")
+    assert mixed.probabilities["tilt"] == pytest.approx(1 / (1 + np.exp(60 / 80)), abs=0.01)
+    assert sum(mixed.probabilities.values()) == pytest.approx(1)
+    assert next_trial(mixed) is not None
+    far = averaged(at_rest, let_go, (5_548.0, 9_608.0), CALIBRATION["none_temperature"])
+    assert far.probabilities[NONE] == pytest.approx(at_rest.probabilities[NONE])
+    assert far.group == (NONE,)
 
 
 def test_samples_that_jump_are_a_second_cause_beside_any_gap():

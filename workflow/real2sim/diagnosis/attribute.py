@@ -31,6 +31,8 @@ OUT_OF_REACH = 2000.0
 NEARLY_ALL, FAR_BEHIND = 0.05, 10.0
 # A law of so many constants has more than one valley
 MANY = 3
+# More laws than this on one axis stand for one that the catalogue does not hold
+MOST_LAWS = 2
 # Effects that take each other's place in a fit
 RIVALS = (
     ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit"),
@@ -92,13 +94,25 @@ def plain_fit(evidence: Evidence, bounds: Bounds, start: np.ndarray, settings: d
     return best
 
 
+def is_doubtful(effects: Sequence[Placed]) -> bool:
+    """Whether effects that explain all are what a cause outside the catalogue looks like as often as themselves.
+
+    Two time constants are what a spectrum of them looks like in seconds.
+    """
+    return any(isinstance(p.effect.plant, TwoTimes) for p in effects)
+
+
 def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool) -> bool:
     """Whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
 
     Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
-    so are two time constants, but where these leave nothing they are all there is to know.
+    so are two time constants, but where these leave nothing they are all there is to know. Three laws patch any law of
+    one axis.
     """
-    if not leaves_noise and any(isinstance(p.effect.plant, TwoTimes) for p in effects):
+    if not leaves_noise and is_doubtful(effects):
+        return True
+    laws = {(p.where.axes, p.effect.name) for p in effects if len(p.where.axes) == 1}
+    if any(sum(axes == other for other, _ in laws) > MOST_LAWS for axes, _ in laws):
         return True
     branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
     return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")

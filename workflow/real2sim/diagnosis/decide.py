@@ -10,7 +10,7 @@ constants are fitted on development cases (config, ``diagnosis.calibration``).
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,13 +36,15 @@ LEAST_SCATTER = 0.25
 class Candidate:
     """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials.
 
-    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold.
+    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are
+    what such a cause looks like as often as themselves.
     """
 
     names: tuple[str, ...]
     parameters: int
     chi2: tuple[float, float]
     makeshift: bool = False
+    doubtful: bool = False
 
     @property
     def answer(self) -> tuple[frozenset[str], bool]:
@@ -170,9 +172,10 @@ def decide(
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
     makeshift = np.array([candidate.makeshift for candidate in candidates], dtype=bool)
     sets = p[: len(candidates)]
-    probabilities |= _shares(plain, candidates, sets, calibration)
+    doubt = calibration["doubtful"] * _doubted(candidates, z)
+    probabilities |= _shares(plain, candidates, sets * (1 - doubt), calibration)
     probabilities[NONE] = float(p[-2])
-    probabilities[UNKNOWN] = float(p[-1] + sets[makeshift].sum())
+    probabilities[UNKNOWN] = float(p[-1] + sets[makeshift].sum() + (sets * doubt)[~makeshift].sum())
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
@@ -188,6 +191,30 @@ def decide(
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
     return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+
+
+def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
+    """Which candidates (n,) give an answer whose likeliest form, by log-probabilities ``z``, is doubtful."""
+    best: dict[tuple[frozenset[str], bool], int] = {}
+    for i, candidate in enumerate(candidates):
+        if candidate.answer not in best or z[i] > z[best[candidate.answer]]:
+            best[candidate.answer] = i
+    return np.array([candidates[best[x.answer]].doubtful for x in candidates], dtype=float)
+
+
+def averaged(decision: Decision, other: Decision, costs: tuple[float, float], temperature: float) -> Decision:
+    """A decision with the probabilities of the one for the other hold mixed in, by what each leaves for its price.
+
+    ``costs`` as of `cost_of_answer`, the decision's own first. Verdict and named set stay those of the likelier hold.
+    """
+    share = 1 / (1 + float(np.exp(np.clip((costs[1] - costs[0]) / temperature, -50, 50))))
+    mixed = {
+        name: (1 - share) * value + share * other.probabilities[name]
+        for name, value in decision.probabilities.items()
+    }
+    also = [n for n in EFFECT_NAMES if n not in decision.group and mixed[n] > IN_THE_RUNNING]
+    group = (*decision.group, *sorted(also, key=lambda n: -mixed[n]))
+    return replace(decision, probabilities=mixed, sets=decision.sets * (1 - share), group=group)
 
 
 def cost_of_answer(

@@ -14,13 +14,21 @@ import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.coupling.effects import EFFECTS
-from real2sim.diagnosis.attribute import Attribution, attribute, finished, is_makeshift, plain_fit
+from real2sim.diagnosis.attribute import (
+    Attribution,
+    attribute,
+    finished,
+    is_doubtful,
+    is_makeshift,
+    plain_fit,
+)
 from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.decide import (
     NONE,
     UNKNOWN,
     Candidate,
     Decision,
+    averaged,
     cost_of_answer,
     decide,
     is_out_of_reach,
@@ -157,12 +165,6 @@ def searched_as_held(
     First what leaves less for its price, then the other, where both were searched. Where a lab knows how its robot was
     held (``diagnosis.robot_holds``) that alone is searched. Arguments as of `searched`.
     """
-
-    def cost(found: Found) -> float:
-        return cost_of_answer(
-            *candidates_of(found[1], options["search"]), found[1].samples, options["calibration"]
-        )
-
     if options["robot_holds"] == BALANCE:
         return searched(options=options, progress=progress, settled=True, **known), None
     let_go = searched(options=options, progress=progress, **known)
@@ -170,7 +172,13 @@ def searched_as_held(
         return let_go, None
     progress("the robot may have been at rest against the strap: searched once more for that")
     at_rest = searched(options=options, progress=progress, settled=True, **known)
-    return (at_rest, let_go) if cost(at_rest) < cost(let_go) else (let_go, at_rest)
+    return (at_rest, let_go) if _cost(at_rest, options) < _cost(let_go, options) else (let_go, at_rest)
+
+
+def _cost(found: Found, options: dict) -> float:
+    """What the answer to a search leaves, for its price."""
+    sets = candidates_of(found[1], options["search"])
+    return cost_of_answer(*sets, found[1].samples, options["calibration"])
 
 
 def decided(
@@ -201,12 +209,9 @@ def decided(
     return again, second, other, True
 
 
-def _otherwise(found: Found | None, options: dict) -> dict[str, Any] | None:
-    """What the answer would be if the robot's controller held otherwise; None where that was not searched."""
-    if found is None:
-        return None
+def _otherwise(found: Found, decision: Decision) -> dict[str, Any]:
+    """What the answer would be if the robot's controller held otherwise."""
     pair, attribution = found
-    decision = _decided(pair, attribution, options)
     return {
         "robot_holds": _hold(pair),
         "verdict": decision.verdict,
@@ -234,7 +239,13 @@ def candidates_of(attribution: Attribution, search: dict) -> tuple[Candidate, li
     samples = sum(attribution.samples)
     noise = samples + search["pair_excess_sigma"] * np.sqrt(2 * samples)
     return Candidate((), 0, attribution.plain.chi2), [
-        Candidate(h.names, len(h.z) - 12, h.chi2, is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise))
+        Candidate(
+            h.names,
+            len(h.z) - 12,
+            h.chi2,
+            is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise),
+            is_doubtful(h.effects),
+        )
         for h in attribution.hypotheses
     ]
 
@@ -296,6 +307,13 @@ def diagnose(
     if pair.exchanged or the_other_way:
         train, held_out = held_out, train
     progress(f"verdict {decision.verdict}")
+    otherwise = None
+    if other is not None:
+        under_other = _decided(*other, options)
+        otherwise = _otherwise(other, under_other)
+        if not the_other_way:
+            costs = _cost((pair, attribution), options), _cost(other, options)
+            decision = averaged(decision, under_other, costs, options["calibration"]["none_temperature"])
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:
         _write_traces(traces, pair.shown, attribution, decision)
@@ -315,7 +333,7 @@ def diagnose(
             "shown_on": [train.name if pair.exchanged else held_out.name],
             "fitted_the_other_way": the_other_way,
             "robot_holds": _hold(pair),
-            "otherwise": _otherwise(other, options),
+            "otherwise": otherwise,
             "pelvis_markers_jumped_s": {
                 folder.name: item.jumped_s
                 for folder, item in ((train, pair.train), (held_out, pair.held_out))

@@ -489,7 +489,7 @@ def _which(d: Mapping[str, Any]) -> str:
         "which",
         "Which effect causes it",
         paragraph(note) if note else "",
-        f'<div class="grid">\n{ranked}\n<div>\n{cards}\n</div>\n</div>',
+        f'<div class="grid wide">\n{ranked}\n<div>\n{cards}\n</div>\n</div>',
     )
 
 

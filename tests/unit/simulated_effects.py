@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from real2sim.coupling.chains import Context
+from real2sim.coupling.chains import Context, markers_of
 from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.coupling.mechanisms.base import Scales
 from real2sim.coupling.plant import RestPose
@@ -67,7 +67,7 @@ def replay(
         np.eye(3),
         position[0] + neutral_at,
         PELVIS_SHAPE,
-        rest.position + half * np.array([rest.rotation[:, 1], -rest.rotation[:, 1]]),
+        markers_of(rest.rotation, rest.position, half),
         np.array([0.12, 0.0, 0.0]),
     )
     return EffectReplay(

@@ -116,19 +116,17 @@ class OffCentre:
     def true(self, values, seen, context, axes):
         """Pose from the centres; of the neutral trial's, from its mean pelvis."""
         pelvis, origin = context.neutral_rotation, context.neutral_position
-        left, right = np.nanmean(context.measured[: context.start], axis=0)
-        half = float(np.linalg.norm(left - right)) / 2
+        half = _half(context)
         offsets = values.reshape(2, 3)
         rotation, position = _from_centres(seen.rotation, seen.position, half, offsets)
         rest = pelvis @ seen.rest_rotation, origin + pelvis @ seen.rest_position
         rest_rotation, rest_position = _from_centres(*rest, half, offsets)
-        turned = seen.rotation @ rotation.T
         return Sight(
             rotation,
             position,
             pelvis.T @ rest_rotation,
             pelvis.T @ (rest_position - origin),
-            seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0])),
+            _heading(seen, rotation),
         )
 
     def seen(self, paths, rotation, values, context):
@@ -156,20 +154,13 @@ class OnStrap:
     def true(self, values, seen, context, axes):
         """Pose from where the markers would be on the robot; at rest they are where they were seen."""
         first = slice(0, context.start)
-        pelvis, origin = (
-            mean_rotation(context.pelvis_rotation[first]),
-            context.pelvis_position[first].mean(axis=0),
-        )
-        left, right = np.nanmean(context.measured[first], axis=0)
-        half = float(np.linalg.norm(left - right)) / 2
-        markers = seen.position + half * np.array([seen.rotation[:, 1], -seen.rotation[:, 1]])
+        pelvis, origin = mean_rotation(context.pelvis_rotation[first]), context.pelvis_position[first].mean(0)
+        markers = markers_of(seen.rotation, seen.position, _half(context))
         # what is seen goes (1 - part) of the way that the robot goes
         way = ((markers - origin) @ pelvis - context.rest_shape) / (1 - values)
         left, right = origin + (context.rest_shape + way) @ pelvis.T
         rotation, position = interface_frame(left, right, seen.rotation[:, 2])
-        turned = seen.rotation @ rotation.T
-        heading = seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0]))
-        return replace(seen, rotation=rotation, position=position, heading=heading)
+        return replace(seen, rotation=rotation, position=position, heading=_heading(seen, rotation))
 
     def seen(self, paths, rotation, values, context):
         """A part of the way from the robot to where the pelvis has the marker at rest."""
@@ -208,11 +199,28 @@ class Elsewhere:
         return paths
 
 
+def markers_of(rotation: np.ndarray, position: np.ndarray, half: float) -> np.ndarray:
+    """Markers left and right (2, 3) [m] of an interface's pose (3, 3), (3,), ``half`` [m] from their middle."""
+    return position + half * np.array([rotation[:, 1], -rotation[:, 1]])
+
+
+def _half(context: Context) -> float:
+    """Half of the distance [m] between the interface's markers while the person stands."""
+    left, right = np.nanmean(context.measured[: context.start], axis=0)
+    return float(np.linalg.norm(left - right)) / 2
+
+
+def _heading(seen: Sight, true: np.ndarray) -> float:
+    """How far [rad] a log that was laid on the markers is turned where the interface's rotation is ``true`` (3, 3)."""
+    turned = seen.rotation @ true.T
+    return seen.heading + float(np.arctan2(turned[1, 0], turned[0, 0]))
+
+
 def _from_centres(
     rotation: np.ndarray, position: np.ndarray, half: float, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose of the interface from that of its markers, ``half`` [m] from their middle, with offsets (2, 3) [m]."""
-    markers = position + half * np.array([rotation[:, 1], -rotation[:, 1]])
+    markers = markers_of(rotation, position, half)
     true = rotation
     # the offsets are known in the axes that are sought
     for _ in range(3):
@@ -480,7 +488,7 @@ def wandering(values, context, where, parameters):
 
 
 def settling(values, context, where, parameters):
-    """Forces (m, steps, 1) [N, Nm] on the strap joint of ways (m, 0) [m, rad] and time constants (m, 1) [s]."""
+    """Forces (m, steps, 1) [N, Nm] on the strap joint, values (m, 2) are way [m, rad] and time constant [s]."""
     # the rest pose goes over to another from where the person starts to move
     gone = 1 - np.exp(-_since_motion(context) / values[:, 1:])
     return (parameters[:, where.axes[0], None] * values[:, :1] * gone)[..., None]

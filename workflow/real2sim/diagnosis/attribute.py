@@ -303,9 +303,7 @@ def _redrawn(
     laws = [
         p
         for p in places
-        if len(p.effect.parameters) >= MANY
-        and _rivals(best.effects[0], p)
-        and _same_place(best.effects[0], p)
+        if _has_many_constants(p) and _rivals(best.effects[0], p) and _same_place(best.effects[0], p)
     ]
     out = list(found)
     for law in laws:

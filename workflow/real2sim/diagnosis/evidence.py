@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
-from real2sim.coupling.chains import Context, Elsewhere
+from real2sim.coupling.chains import Context, Elsewhere, markers_of
 from real2sim.coupling.drive import PelvisDrive, pelvis_drive
 from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
 from real2sim.coupling.mechanisms.base import Scales, Where
@@ -509,7 +509,7 @@ def _pelvis_shape(trial: Trial) -> np.ndarray:
 def _rest_shape(trial: Trial) -> np.ndarray:
     """Where the interface's markers are to the pelvis at rest, (2, 3) [m]."""
     half = float(np.nanmean(np.linalg.norm(trial.interface[:, 0] - trial.interface[:, 1], axis=1))) / 2
-    return trial.rest.position + half * np.array([trial.rest.rotation[:, 1], -trial.rest.rotation[:, 1]])
+    return markers_of(trial.rest.rotation, trial.rest.position, half)
 
 
 def load_evidence(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from real2sim.coupling.mechanisms.base import Where, add_branch, set_branch
+from real2sim.coupling.mechanisms.base import Fields, Where, add_branch, set_branch
 
 
 class InterfaceMass:
@@ -117,7 +117,7 @@ class SlackBeyondWheels(YieldBeyondWheels):
             fields["tendon_lengthspring"][:, fields.tendon(name)] += band
 
 
-# What a joint is told by, and no more
+# What a joint has of the description it is in, and is not told
 _OF_SPEC = ("id", "parent", "frame", "signature", "classname", "compiler", "set_frame")
 
 
@@ -143,6 +143,14 @@ def _carry(spec: mujoco.MjSpec, name: str, carrying: list[dict]) -> None:
             setattr(joint, key, value)
 
 
+def _set_carrying(fields: Fields, names: list[str], values: np.ndarray) -> None:
+    """Stiffness of two joints and time constant of their dampers, the first three of values (m, p)."""
+    for name, stiffness in zip(names, values[:, :2].T, strict=True):
+        joint = fields.model.joint(name)
+        fields["jnt_stiffness"][:, joint.id] = stiffness
+        fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]
+
+
 class Rocking:
     """The robot rocks on its suspension, which no encoder sees: what carries the arm turns about the floor.
 
@@ -165,11 +173,9 @@ class Rocking:
 
     def set(self, fields, where, parameters, values):
         """Springs, dampers and inertia."""
-        for name, stiffness in zip(self._names(where), values[:, :2].T, strict=True):
-            joint = fields.model.joint(name)
-            fields["jnt_stiffness"][:, joint.id] = stiffness
-            fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]
-            fields["dof_armature"][:, joint.dofadr[0]] = values[:, 3]
+        _set_carrying(fields, self._names(where), values)
+        for name in self._names(where):
+            fields["dof_armature"][:, fields.model.joint(name).dofadr[0]] = values[:, 3]
 
 
 class Bending:
@@ -190,7 +196,4 @@ class Bending:
 
     def set(self, fields, where, parameters, values):
         """Springs and dampers."""
-        for name, stiffness in zip(self._names(where), values[:, :2].T, strict=True):
-            joint = fields.model.joint(name)
-            fields["jnt_stiffness"][:, joint.id] = stiffness
-            fields["dof_damping"][:, joint.dofadr[0]] = stiffness * values[:, 2]
+        _set_carrying(fields, self._names(where), values)

@@ -15,6 +15,7 @@ from real2sim.diagnosis.decide import (
     further_price,
     is_out_of_reach,
     next_trial,
+    share_of_other,
     unexplained,
 )
 
@@ -142,13 +143,13 @@ def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
     quiet = Candidate((), 0, (2_827.0, 2_721.0))
     at_rest = decide(quiet, [Candidate(("tilt",), 2, (2_827.0, 2_721.0))], (2880, 2880), CALIBRATION)
     assert (let_go.verdict, at_rest.verdict) == ("tilt", NONE)
-    mixed = averaged(at_rest, let_go, (5_548.0, 5_608.0), CALIBRATION["none_temperature"])
+    mixed = averaged(at_rest, let_go, share_of_other((5_548.0, 5_608.0), CALIBRATION["none_temperature"]))
     assert mixed.verdict == NONE
     assert mixed.group == (NONE, "tilt")
     assert mixed.probabilities["tilt"] == pytest.approx(1 / (1 + np.exp(60 / 80)), abs=0.01)
     assert sum(mixed.probabilities.values()) == pytest.approx(1)
     assert next_trial(mixed) is not None
-    far = averaged(at_rest, let_go, (5_548.0, 9_608.0), CALIBRATION["none_temperature"])
+    far = averaged(at_rest, let_go, share_of_other((5_548.0, 9_608.0), CALIBRATION["none_temperature"]))
     assert far.probabilities[NONE] == pytest.approx(at_rest.probabilities[NONE])
     assert far.group == (NONE,)
 

@@ -194,3 +194,21 @@ def test_of_two_searches_the_one_is_taken_whose_answer_leaves_less_for_its_price
     assert cost(loud, one) < cost(loud, both)
     # what nothing explains counts by what comes nearest
     assert cost(loud, Candidate(("tilt",), 2, (8000.0, 8000.0))) == pytest.approx(16_000 + 150, abs=20)
+
+
+def test_a_cause_is_told_as_the_hold_has_it_that_its_probability_comes_from():
+    own = [
+        {"effect": "creep", "probability": 0.1, "value": 1},
+        {"effect": "tilt", "probability": 0.3, "value": 2},
+    ]
+    theirs = [
+        {"effect": "tilt", "probability": 1.0, "value": 3},
+        {"effect": "creep", "probability": 0.0, "value": 4},
+    ]
+    told = stage._of_both_holds(
+        own, theirs, {"tilt": True, "creep": False}, {"tilt": 0.3, "creep": 0.1}, "start pose"
+    )
+    assert told == [
+        {"effect": "tilt", "probability": 0.3, "value": 3, "robot_holds": "start pose"},
+        {"effect": "creep", "probability": 0.1, "value": 1},
+    ]

@@ -202,12 +202,16 @@ def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
     return np.array([candidates[best[x.answer]].doubtful for x in candidates], dtype=float)
 
 
-def averaged(decision: Decision, other: Decision, costs: tuple[float, float], temperature: float) -> Decision:
-    """A decision with the probabilities of the one for the other hold mixed in, by what each leaves for its price.
+def share_of_other(costs: tuple[float, float], temperature: float) -> float:
+    """Probability of the other hold, of the costs (`cost_of_answer`) of the answers for one and the other."""
+    return 1 / (1 + float(np.exp(np.clip((costs[1] - costs[0]) / temperature, -50, 50))))
 
-    ``costs`` as of `cost_of_answer`, the decision's own first. Verdict and named set stay those of the likelier hold.
+
+def averaged(decision: Decision, other: Decision, share: float) -> Decision:
+    """A decision with a ``share`` of the probabilities of the one for the other hold (`share_of_other`).
+
+    Verdict and named set stay those of the likelier hold.
     """
-    share = 1 / (1 + float(np.exp(np.clip((costs[1] - costs[0]) / temperature, -50, 50))))
     mixed = {
         name: (1 - share) * value + share * other.probabilities[name]
         for name, value in decision.probabilities.items()

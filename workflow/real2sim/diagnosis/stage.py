@@ -33,6 +33,7 @@ from real2sim.diagnosis.decide import (
     decide,
     is_out_of_reach,
     next_trial,
+    share_of_other,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence
 from real2sim.diagnosis.export import described
@@ -54,6 +55,8 @@ SMALLEST_GAP = 0.02
 PLANT_SD_LN = 0.005
 # Probability of `unknown` from which no set of effects is fitted any further
 CERTAIN = 0.99
+# Probability from which the parameters of a cause have intervals
+TOLD = 0.005
 # Share of what stands out of the noise that a robot at rest has to explain to be searched for
 HOLD_SHARE = 0.25
 # Two trials, and what the search found of them
@@ -307,16 +310,26 @@ def diagnose(
     if pair.exchanged or the_other_way:
         train, held_out = held_out, train
     progress(f"verdict {decision.verdict}")
-    otherwise = None
+    otherwise, share, own = None, 0.0, decision
     if other is not None:
         under_other = _decided(*other, options)
         otherwise = _otherwise(other, under_other)
         if not the_other_way:
             costs = _cost((pair, attribution), options), _cost(other, options)
-            decision = averaged(decision, under_other, costs, options["calibration"]["none_temperature"])
+            share = share_of_other(costs, options["calibration"]["none_temperature"])
+            decision = averaged(own, under_other, share)
     known = strap_verdicts(pair, _chosen(attribution, decision), attribution.samples[0], settings)
     if traces is not None:
         _write_traces(traces, pair.shown, attribution, decision)
+    answer = _answer(pair, attribution, decision, known)
+    if share and other is not None:
+        theirs = _causes_of(other, under_other)
+        likelier = {
+            n: share * p > (1 - share) * own.probabilities[n] for n, p in under_other.probabilities.items()
+        }
+        answer["causes"] = _of_both_holds(
+            answer["causes"], theirs, likelier, decision.probabilities, _hold(other[0])
+        )
     phantom = pair.train.trial.phantom or pair.held_out.trial.phantom
     used = [
         folder / f"{table}.parquet" for folder in (train, held_out) for table in ("pose", "markers", "robot")
@@ -340,7 +353,7 @@ def diagnose(
                 if item.jumped_s
             },
         }
-        | _answer(pair, attribution, decision, known)
+        | answer
         | {
             "model": described(_chosen(attribution, decision), pair.train.scales),
             "settings": settings,
@@ -349,6 +362,41 @@ def diagnose(
             ),
         },
     )
+
+
+def _causes_of(found: Found, decision: Decision) -> list[dict[str, Any]]:
+    """Causes of a decision, with what each closes of the gap that its own hold leaves."""
+    pair, attribution = found
+    plain = _paths(pair.shown, attribution.plain)
+    return _causes(pair, attribution, decision, plain, float(_floor_draws(pair.shown).mean()))
+
+
+def _of_both_holds(
+    causes: list[dict[str, Any]],
+    theirs: list[dict[str, Any]],
+    likelier: dict[str, bool],
+    probabilities: dict[str, float],
+    hold: str,
+) -> list[dict[str, Any]]:
+    """Causes, each as the hold has it that most of its probability comes from; ``theirs`` say so by ``robot_holds``.
+
+    ``likelier``: whether that is the other one, ``hold``. A tilt of a robot that is let go has other values than the
+    one of a robot at rest, in which it hardly shows.
+    """
+    taken = {
+        c["effect"]: c | {"probability": probabilities[c["effect"]], "robot_holds": hold}
+        for c in theirs
+        if likelier[c["effect"]] and probabilities[c["effect"]] >= TOLD
+    }
+    kept = [c for c in causes if c["effect"] not in taken]
+    return sorted([*kept, *taken.values()], key=lambda c: -c["probability"])
+
+
+def _floor_draws(shown: Evidence) -> np.ndarray:
+    """J (draws,) of noise alone on a trial."""
+    assert shown.noise is not None
+    noise = shown.noise[:, :, :6]
+    return np.asarray(shown.cost.energy(noise.reshape(*noise.shape[:2], 2, 3)))
 
 
 def _hold(pair: Pair) -> str:
@@ -409,7 +457,7 @@ def _answer(
     paths = {key: _paths(shown, h) for key, h in (("plain", plain), ("best", best))}
     assert shown.noise is not None
     noise = shown.noise[:, :, :6]
-    draws = shown.cost.energy(noise.reshape(*noise.shape[:2], 2, 3))
+    draws = _floor_draws(shown)
     floor = float(draws.mean())
     base = float(shown.cost(paths["plain"][None]).total[0])
     ranked = _causes(pair, attribution, decision, paths["plain"], floor)
@@ -569,7 +617,7 @@ def _causes(
         hypothesis = attribution.hypotheses[index]
         for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
             name = placed.effect.name
-            told = decision.probabilities[name] >= 0.005
+            told = decision.probabilities[name] >= TOLD
             if name in seen or (not told and len(out) >= 3):
                 continue
             seen.add(name)

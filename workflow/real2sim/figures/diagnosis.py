@@ -75,6 +75,7 @@ _KEYS = (
     "provenance",
 )
 _NOT_EFFECTS = ("none", "unknown")
+_HELD = {"start pose": "let go at its start pose", "balance": "at rest against the strap"}
 _AXIS_WORDS = {"tx": "forward", "ty": "left", "tz": "up", "rx": "roll", "ry": "pitch", "rz": "yaw"}
 _DEGREES = 180 / math.pi
 # SI units that are told in another one: factor and name
@@ -273,11 +274,10 @@ def _hold(d: Mapping[str, Any]) -> str:
     other = d["otherwise"]
     if not _hangs_on_hold(d):
         return taken
-    how = {"start pose": "let go at its start pose", "balance": "at rest against the strap"}
     left, noise = (rounded(sum(other[key]), 3) for key in ("chi2_best", "chi2_expected"))
     answer = f"{_listed(other['verdict_set'])} ({percent(other['probability'])})"
     return taken + (
-        f"Had the robot been {how[other['robot_holds']]} when the trials began, the answer would be {answer}, which "
+        f"Had the robot been {_HELD[other['robot_holds']]} when the trials began, the answer would be {answer}, which "
         f"leaves {left} of chi-squared where noise leaves {noise}. If you know how it was, set diagnosis.robot_holds."
     )
 
@@ -418,9 +418,11 @@ def _place(d: Mapping[str, Any]) -> str:
     stage = STAGES.get(d["where"]["stage"], d["where"]["stage"])
     axes = _listed(_main_axes(d) or ["no axis"])
     if d["verdict"] == "none":
+        hardly = sum(p for name, p in d["probabilities"].items() if name not in _NOT_EFFECTS) < 0.02
+        of = "with next to no probability" if hardly else "that share the probability"
         return (
             "There is no gap to place: the shares below only say where chance put the small excess over noise, and the "
-            "stage is that of effects with next to no probability."
+            f"stage is that of effects {of}."
         )
     if d["verdict"] == "unknown":
         return f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}."
@@ -512,9 +514,10 @@ def _cause_row(name: str, probability: float, cause: Mapping[str, Any] | None) -
 
 
 def _stage(cause: Mapping[str, Any]) -> str:
-    """First words of the stage's name."""
+    """First words of the stage's name, and how the robot was held where the cause is of the other hold."""
     stage = cause.get("stage", "")
-    return STAGES.get(stage, stage).split(" (")[0]
+    words = STAGES.get(stage, stage).split(" (")[0]
+    return f"{words}, with the robot {_HELD[cause['robot_holds']]}" if "robot_holds" in cause else words
 
 
 def _titled(name: str, about: str) -> str:

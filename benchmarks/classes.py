@@ -21,9 +21,9 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim.artefacts import finite_or_none, number, read_json, read_table, write_json
-from real2sim.identification.parameters import PARAMETERS
-from real2sim.statistics.classes import OWN, SHARED
-from real2sim.statistics.study import POWER, exact_class_shares
+from real2sim.inference.parameters import PARAMETERS
+from real2sim.study.statistics.classes import OWN, SHARED
+from real2sim.study.statistics.study import POWER, exact_class_shares
 
 # what each method must say of a parameter that is shared, and of one that is not
 SAYS = {

@@ -17,7 +17,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from real2sim.formats.recordings import CoordinateRecording
+from real2sim.recording.formats.recordings import CoordinateRecording
 from scipy.interpolate import CubicSpline
 from scipy.linalg import cholesky, solve_triangular
 from scipy.signal import butter, sosfiltfilt

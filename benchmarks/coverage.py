@@ -33,20 +33,20 @@ sys.path.insert(0, str(ROOT / "workflow"))
 from real2sim import geometry
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
-from real2sim.coupling.plant import RestPose
 from real2sim.files import write_text
-from real2sim.identification.assessment import assess_model
-from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.identifiability import DETERMINED, NOT_DETERMINED, WEAK, central_jacobian
-from real2sim.identification.least_squares import Residuals, search
-from real2sim.identification.parameters import PARAMETERS, Bounds
-from real2sim.identification.trial import Trial, TrialModel, replay_of
-from real2sim.phantom.cohort import FREE, robot_controller
-from real2sim.phantom.cohort import _path_from_start as path_from_start
-from real2sim.phantom.person import draw_person
-from real2sim.phantom.physics import Robot, StrapLaw, simulate
-from real2sim.phantom.tasks import motion_of
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.inference.identifiability import DETERMINED, NOT_DETERMINED, WEAK, central_jacobian
+from real2sim.inference.least_squares import Residuals, search
+from real2sim.inference.parameters import PARAMETERS, Bounds
+from real2sim.recording.trial import Trial, TrialModel, replay_of
 from real2sim.signals import lowpass
+from real2sim.study.assessment import assess_model
+from real2sim.system.plant import RestPose
+from real2sim.verification.phantom.cohort import FREE, robot_controller
+from real2sim.verification.phantom.cohort import _path_from_start as path_from_start
+from real2sim.verification.phantom.person import draw_person
+from real2sim.verification.phantom.physics import Robot, StrapLaw, simulate
+from real2sim.verification.phantom.tasks import motion_of
 
 FLAT_SD_LN = 1.0
 NEUTRAL_S = 8.0

@@ -41,12 +41,12 @@ sys.path.insert(0, str(ROOT / "workflow"))
 from mujoco.batch import Batch
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
-from real2sim.coupling.plant import load_robot
-from real2sim.identification import cmaes, least_squares
-from real2sim.identification.fit import BATCH, restart_seed
-from real2sim.identification.parameters import Bounds
-from real2sim.identification.step_study import parameter_draws
-from real2sim.identification.trial import TrialModel, trial_model, with_step
+from real2sim.inference import cmaes, least_squares
+from real2sim.inference.parameters import Bounds
+from real2sim.recording.trial import TrialModel, trial_model, with_step
+from real2sim.study.fit import BATCH, restart_seed
+from real2sim.study.step_study import parameter_draws
+from real2sim.system.plant import load_robot
 from welded import WeldedReplay
 
 # Two processes of other people's on two cores leave nothing to measure

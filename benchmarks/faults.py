@@ -29,16 +29,16 @@ sys.path[:0] = [str(ROOT / "workflow"), str(ROOT)]
 
 import numpy as np
 from real2sim.configuration import read_yaml, validated
-from real2sim.formats.detect import read_markerless
-from real2sim.formats.recordings import CoordinateRecording, MarkerRecording
-from real2sim.phantom.cohort import write_subject
-from real2sim.phantom.plan import planned_files
-from real2sim.quality import markers
-from real2sim.quality.gates import judge, session_of
-from real2sim.quality.measure import Measured, RawTrial, measure
-from real2sim.quality.stage import raw_trial
-from real2sim.quality.verdict import Gate
-from real2sim.subjects import read_subject
+from real2sim.recording.formats.detect import read_markerless
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording
+from real2sim.recording.quality import markers
+from real2sim.recording.quality.gates import judge, session_of
+from real2sim.recording.quality.measure import Measured, RawTrial, measure
+from real2sim.recording.quality.stage import raw_trial
+from real2sim.recording.quality.verdict import Gate
+from real2sim.recording.subjects import read_subject
+from real2sim.verification.phantom.cohort import write_subject
+from real2sim.verification.phantom.plan import planned_files
 from scipy.spatial.transform import Rotation
 from statsmodels.stats.proportion import proportion_confint
 

@@ -40,17 +40,17 @@ sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim import signals
 from real2sim.configuration import validated
-from real2sim.coupling.chains import Context
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms.base import Fields, Scales
-from real2sim.coupling.mechanisms.planned import DrivenForce, PlannedForce
-from real2sim.coupling.plant import servo_gains
 from real2sim.diagnosis.attribute import attribute
 from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.refit import JointResiduals, refit
 from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.stage import candidates_of
-from real2sim.identification.parameters import PARAMETERS, Bounds
+from real2sim.effects.base import Fields, Scales
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.chains import Context
+from real2sim.effects.planned import DrivenForce, PlannedForce
+from real2sim.inference.parameters import PARAMETERS, Bounds
+from real2sim.system.plant import servo_gains
 
 # A slide that is moved along a path: its mass [kg], what its ends are not trusted for [samples], its band [Hz]
 IMMENSE, EDGE, BAND_HZ = 1e7, 12, (3.0, 120.0)

@@ -21,12 +21,12 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim.configuration import read_yaml, validated
-from real2sim.coupling.plant import RestPose
-from real2sim.coupling.replay import Replay, replay_check
-from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.parameters import as_vector
-from real2sim.phantom.cohort import simulate_subject
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.inference.parameters import as_vector
 from real2sim.signals import lowpass
+from real2sim.system.plant import RestPose
+from real2sim.system.replay import Replay, replay_check
+from real2sim.verification.phantom.cohort import simulate_subject
 
 NOISE_M = 0.0005
 

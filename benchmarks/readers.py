@@ -18,9 +18,9 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
-from real2sim.formats import robot_log
-from real2sim.formats.qualisys import write_markers
-from real2sim.formats.recordings import MarkerRecording, RobotLog
+from real2sim.recording.formats import robot_log
+from real2sim.recording.formats.qualisys import write_markers
+from real2sim.recording.formats.recordings import MarkerRecording, RobotLog
 
 BYTES = 1 << 30
 _TSV = """
@@ -28,7 +28,7 @@ import sys, time
 import numpy as np, pyarrow, pyarrow.parquet
 from pathlib import Path
 begin = time.perf_counter()
-from real2sim.formats.detect import read_markers
+from real2sim.recording.formats.detect import read_markers
 recording = read_markers(Path(sys.argv[1]))
 columns = {"time_s": recording.time_s}
 for name, values in recording.positions.items():
@@ -42,7 +42,7 @@ _LOG = """
 import sys, time
 from pathlib import Path
 begin = time.perf_counter()
-from real2sim.formats.detect import read_log
+from real2sim.recording.formats.detect import read_log
 log = read_log(Path(sys.argv[1]))
 status = Path("/proc/self/status").read_text()
 peak = int(status.split("VmHWM:")[1].split()[0]) / 1024  # ru_maxrss would count the parent's

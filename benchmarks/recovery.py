@@ -27,13 +27,13 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim.configuration import read_yaml, validated
-from real2sim.identification.fit import best_of, fit_trial
-from real2sim.identification.parameters import PARAMETERS, as_vector
-from real2sim.identification.step_study import step_study
-from real2sim.ingest import ingest_subject
-from real2sim.limits import joint_limits
-from real2sim.phantom.cohort import write_subject
-from real2sim.phantom.plan import planned_files
+from real2sim.inference.parameters import PARAMETERS, as_vector
+from real2sim.recording.ingest import ingest_subject
+from real2sim.study.fit import best_of, fit_trial
+from real2sim.study.limits import joint_limits
+from real2sim.study.step_study import step_study
+from real2sim.verification.phantom.cohort import write_subject
+from real2sim.verification.phantom.plan import planned_files
 
 UNOBSERVED = ("k_ry", "d_ry")
 KEPT = [i for i, name in enumerate(PARAMETERS) if name not in UNOBSERVED]

@@ -27,9 +27,10 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "workflow"))
 
 from real2sim.configuration import read_yaml, validated
-from real2sim.identification.fit import BATCH, best_of
-from real2sim.identification.parameters import Bounds
-from real2sim.identification.refinement import (
+from real2sim.inference.parameters import Bounds
+from real2sim.recording.trial import trial_model, with_step
+from real2sim.study.fit import BATCH, best_of
+from real2sim.study.refinement import (
     J_BAR,
     Search,
     against_full,
@@ -40,8 +41,7 @@ from real2sim.identification.refinement import (
     refine_residuals,
     would_gain,
 )
-from real2sim.identification.trial import trial_model, with_step
-from real2sim.statistics.shareability import priors, shareability
+from real2sim.study.statistics.shareability import priors, shareability
 
 
 def search_of_others(fits: list[Path], subject: str, config: dict, bounds: Bounds) -> Search:

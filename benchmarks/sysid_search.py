@@ -17,11 +17,11 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 from mujoco import sysid
-from real2sim.coupling.plant import STRAP_JOINTS, JointLimits, RestPose
-from real2sim.coupling.replay import Replay
-from real2sim.identification import least_squares
-from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.parameters import PARAMETERS, Bounds
+from real2sim.inference import least_squares
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.inference.parameters import PARAMETERS, Bounds
+from real2sim.system.plant import STRAP_JOINTS, JointLimits, RestPose
+from real2sim.system.replay import Replay
 from welded import WeldedReplay
 
 BATCH = 13

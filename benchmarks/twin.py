@@ -28,16 +28,16 @@ PUBLISHED = ROOT / "resources" / "published"
 import numpy as np
 from real2sim.artefacts import read_json, write_json
 from real2sim.configuration import read_yaml, validated
-from real2sim.coupling.plant import JointLimits, RestPose
 from real2sim.geometry import rotation_xyz
-from real2sim.twin import adaptation
-from real2sim.twin.coupled import CoupledWalk, FreeWalk
-from real2sim.twin.evaluate import plain
-from real2sim.twin.gait import PHASES, SAGITTAL, Reference, make_reference
-from real2sim.twin.human import Body
-from real2sim.twin.policy import Policy, load_policy, save_policy
-from real2sim.twin.stage import bar_rows, conditions_of, examined, read_paper, read_prior
-from real2sim.twin.train import Trainer, train
+from real2sim.study.twin import adaptation
+from real2sim.study.twin.coupled import CoupledWalk, FreeWalk
+from real2sim.study.twin.evaluate import plain
+from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference, make_reference
+from real2sim.study.twin.human import Body
+from real2sim.study.twin.policy import Policy, load_policy, save_policy
+from real2sim.study.twin.stage import bar_rows, conditions_of, examined, read_paper, read_prior
+from real2sim.study.twin.train import Trainer, train
+from real2sim.system.plant import JointLimits, RestPose
 
 BODIES = {1.55: Body(1.55, 50.0, "female"), 1.75: Body(1.75, 75.0, "male"), 1.90: Body(1.90, 110.0, "male")}
 STRIDE_S, SPEED_OF_175 = 1.2, 1.10

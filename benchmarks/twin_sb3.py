@@ -26,8 +26,8 @@ sys.path[:0] = [str(ROOT / "workflow"), str(ROOT)]
 import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
-from real2sim.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
-from real2sim.twin.train import Trainer
+from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
+from real2sim.study.twin.train import Trainer
 
 from benchmarks.twin import BODIES, reference_of
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from real2sim.coupling.plant import (
+from real2sim.geometry import AXES
+from real2sim.system.plant import (
     INTERFACE_SITES,
     STRAP_JOINTS,
     drop_geoms,
@@ -22,14 +23,13 @@ from real2sim.coupling.plant import (
     load_robot,
     servo_gains,
 )
-from real2sim.coupling.replay import Replay
-from real2sim.geometry import AXES
+from real2sim.system.replay import Replay
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     # not at run time: sysid_search.py runs without pyarrow
-    from real2sim.identification.trial import TrialModel
+    from real2sim.recording.trial import TrialModel
 
 PELVIS_JOINTS = ("x", "y", "z", "yaw", "pitch", "roll")
 _PELVIS_AXES = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1], [0, 1, 0], [1, 0, 0])

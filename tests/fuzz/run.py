@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from real2sim.errors import InputError
-from real2sim.formats import detect, text
-from real2sim.formats.recordings import MarkerRecording
+from real2sim.recording.formats import detect, text
+from real2sim.recording.formats.recordings import MarkerRecording
 
 from tests.fuzz import mutate, seeds
 

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from real2sim.formats.opensim import PELVIS_COORDINATES, write_coordinates
-from real2sim.formats.qualisys import write_markers
-from real2sim.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
-from real2sim.formats.robot_log import ARM_JOINTS, BASE_COLUMNS, write_log
+from real2sim.recording.formats.opensim import PELVIS_COORDINATES, write_coordinates
+from real2sim.recording.formats.qualisys import write_markers
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
+from real2sim.recording.formats.robot_log import ARM_JOINTS, BASE_COLUMNS, write_log
 
 THIRD_PARTY = Path(__file__).parents[3] / "shared" / "third_party"
 TEXT_SUFFIXES = (".tsv", ".txt", ".mot", ".sto", ".trc")

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from real2sim import geometry
 from real2sim.configuration import validated
-from real2sim.formats.opensim import write_coordinates
-from real2sim.formats.qualisys import read_markers, write_markers
-from real2sim.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
-from real2sim.formats.robot_log import write_log
+from real2sim.recording.formats.opensim import write_coordinates
+from real2sim.recording.formats.qualisys import read_markers, write_markers
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
+from real2sim.recording.formats.robot_log import write_log
 from scipy.spatial.transform import Rotation
 
 SETTINGS = validated({}, "config", Path("defaults"))["ingest"]

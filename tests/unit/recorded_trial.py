@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from real2sim import geometry
 from real2sim.configuration import read_yaml, validated
-from real2sim.phantom.cohort import simulate_trial
-from real2sim.phantom.person import PARAMETER_NAMES, draw_person
-from real2sim.phantom.tasks import motion_of
 from real2sim.signals import lowpass
+from real2sim.verification.phantom.cohort import simulate_trial
+from real2sim.verification.phantom.person import PARAMETER_NAMES, draw_person
+from real2sim.verification.phantom.tasks import motion_of
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources" / "robot" / "drba.xml"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from real2sim.coupling.chains import Context, markers_of
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms.base import Scales
-from real2sim.coupling.plant import RestPose
-from real2sim.coupling.superset import EffectReplay
+from real2sim.effects.base import Scales
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.chains import Context, markers_of
+from real2sim.system.effect_replay import EffectReplay
+from real2sim.system.plant import RestPose
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from real2sim.geometry import AXES
-from real2sim.identification.parameters import PARAMETERS
+from real2sim.inference.parameters import PARAMETERS
 
 CENTRE = np.array([725, 2120, 3850, 39.2, 122, 15.2, 588, 133, 70.8, 1.26, 2.2, 7.21])
 

@@ -6,23 +6,23 @@ from pathlib import Path
 from typing import Any
 
 from real2sim.artefacts import read_json, write_json, write_table
-from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
-from real2sim.figures.report import FIGURES
-from real2sim.figures.tables import CROSS_TRIAL_COLUMNS, priors_table
-from real2sim.figures.tightness import tightness_figure
-from real2sim.identification.assessment import TABLE_COLUMNS
-from real2sim.identification.parameters import PARAMETERS, unit
-from real2sim.paper.claims import claims
-from real2sim.paper.tables import SIGMAS, paper_tables
-from real2sim.quality.stage import COLUMNS as QUALITY_COLUMNS
-from real2sim.statistics.anthropometrics import anthropometrics
-from real2sim.statistics.classes import classes
-from real2sim.statistics.loso import loso_table
-from real2sim.statistics.nested import nested_variance
-from real2sim.statistics.shareability import priors, shareability
-from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
-from real2sim.twin.gait import SAGITTAL as JOINTS
-from real2sim.twin.stage import BAR_COLUMNS, CLOUD_COLUMNS, GAIT_COLUMNS
+from real2sim.inference.parameters import PARAMETERS, unit
+from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
+from real2sim.pages.report import FIGURES
+from real2sim.pages.tables import CROSS_TRIAL_COLUMNS, priors_table
+from real2sim.pages.tightness import tightness_figure
+from real2sim.recording.quality.stage import COLUMNS as QUALITY_COLUMNS
+from real2sim.study.assessment import TABLE_COLUMNS
+from real2sim.study.paper.claims import claims
+from real2sim.study.paper.tables import SIGMAS, paper_tables
+from real2sim.study.statistics.anthropometrics import anthropometrics
+from real2sim.study.statistics.classes import classes
+from real2sim.study.statistics.loso import loso_table
+from real2sim.study.statistics.nested import nested_variance
+from real2sim.study.statistics.shareability import priors, shareability
+from real2sim.study.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
+from real2sim.study.twin.gait import SAGITTAL as JOINTS
+from real2sim.study.twin.stage import BAR_COLUMNS, CLOUD_COLUMNS, GAIT_COLUMNS
 from synthetic_results import write_fits, write_loso, write_subject_yaml, write_sweep_poses
 
 STATISTICS = {

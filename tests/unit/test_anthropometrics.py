@@ -7,9 +7,9 @@ import pytest
 import yaml
 from real2sim.artefacts import number, read_table
 from real2sim.errors import InputError
-from real2sim.identification.parameters import PARAMETERS
-from real2sim.statistics.anthropometrics import anthropometrics, power_law, variance_inflation
-from real2sim.statistics.shareability import shareability
+from real2sim.inference.parameters import PARAMETERS
+from real2sim.study.statistics.anthropometrics import anthropometrics, power_law, variance_inflation
+from real2sim.study.statistics.shareability import shareability
 from synthetic_results import CENTRE
 from test_statistics import SETTINGS
 

@@ -8,8 +8,12 @@ import json
 import numpy as np
 import pytest
 from real2sim.geometry import PELVIS_MARKERS
-from real2sim.identification import assessment as module
-from real2sim.identification.assessment import (
+from real2sim.inference.identifiability import central_jacobian
+from real2sim.inference.least_squares import Residuals, minimise
+from real2sim.inference.parameters import PARAMETERS, Bounds, as_vector
+from real2sim.recording.trial import TrialModel, replay_of, trial_model
+from real2sim.study import assessment as module
+from real2sim.study.assessment import (
     InputNoise,
     assessment,
     assessment_table,
@@ -17,11 +21,7 @@ from real2sim.identification.assessment import (
     robot_sensitivity,
     with_pelvis_noise,
 )
-from real2sim.identification.fit import fit_trial
-from real2sim.identification.identifiability import central_jacobian
-from real2sim.identification.least_squares import Residuals, minimise
-from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector
-from real2sim.identification.trial import TrialModel, replay_of, trial_model
+from real2sim.study.fit import fit_trial
 from recorded_trial import CONFIG, ROBOT, record
 
 NOISE_M = 0.0003

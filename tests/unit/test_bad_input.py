@@ -10,8 +10,8 @@ import pytest
 from handmade_person import SETTINGS, change_markers, write_person
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
-from real2sim.ingest import ingest_subject
-from real2sim.subjects import discover
+from real2sim.recording.ingest import ingest_subject
+from real2sim.recording.subjects import discover
 
 TRIALS = ("neutral", "rotation_T08", "translation_T08", "dynamic_1")
 

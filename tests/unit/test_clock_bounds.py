@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real2sim.formats.recordings import CoordinateRecording
+from real2sim.recording.formats.recordings import CoordinateRecording
 
 from benchmarks import clock_bounds
 

@@ -8,10 +8,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from real2sim.batches import untimed_batch
 from real2sim.configuration import read_yaml, validated
-from real2sim.coupling.drive import pelvis_drive
-from real2sim.coupling.plant import (
+from real2sim.errors import InputError
+from real2sim.geometry import rotation_xyz
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.inference.parameters import PARAMETERS, Bounds
+from real2sim.system.batches import untimed_batch
+from real2sim.system.drive import pelvis_drive
+from real2sim.system.plant import (
     ROBOT_JOINTS,
     JointLimits,
     RestPose,
@@ -19,14 +23,10 @@ from real2sim.coupling.plant import (
     load_robot,
     robot_pose_for,
 )
-from real2sim.coupling.replay import Replay, replay_check
-from real2sim.errors import InputError
-from real2sim.geometry import rotation_xyz
-from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.parameters import PARAMETERS, Bounds
-from real2sim.phantom.cohort import simulate_trial
-from real2sim.phantom.person import draw_person
-from real2sim.phantom.tasks import motion_of
+from real2sim.system.replay import Replay, replay_check
+from real2sim.verification.phantom.cohort import simulate_trial
+from real2sim.verification.phantom.person import draw_person
+from real2sim.verification.phantom.tasks import motion_of
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources" / "robot" / "drba.xml"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table
-from real2sim.figures.coverage import coverage_figure
-from real2sim.statistics import study
+from real2sim.pages.coverage import coverage_figure
+from real2sim.study.statistics import study
 
 SETTINGS = {
     "confidence": 0.95,

@@ -9,15 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.diagnosis import stage
 from real2sim.diagnosis.attribute import Attribution, finished
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision
 from real2sim.diagnosis.refit import Hypothesis
-from real2sim.diagnosis.score import score_diagnosis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
-from real2sim.identification.parameters import Bounds
+from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.inference.parameters import Bounds
+from real2sim.verification.score import score_diagnosis
 
 from tests.unit.simulated_effects import SCALES
 from tests.unit.test_coupling import CONFIG, ROBOT

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.diagnosis.attribute import is_makeshift
 from real2sim.diagnosis.decide import (
     NONE,
@@ -18,6 +17,7 @@ from real2sim.diagnosis.decide import (
     share_of_other,
     unexplained,
 )
+from real2sim.effects.catalogue import EFFECTS, Placed
 
 from tests.unit.simulated_effects import SCALES
 from tests.unit.test_coupling import CONFIG

@@ -9,12 +9,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.export import baked, to_mjcf
-from real2sim.coupling.mechanisms.planned import DrivenForce
-from real2sim.coupling.superset import EffectReplay
 from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.planned import DrivenForce
+from real2sim.system.effect_replay import EffectReplay
+from real2sim.system.export import baked, to_mjcf
 
 from tests.unit.simulated_effects import LEVEL, SCALES, replay
 from tests.unit.test_coupling import PRIOR, ROBOT

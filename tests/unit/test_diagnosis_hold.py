@@ -9,15 +9,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms.base import Where
-from real2sim.coupling.plant import impedances
 from real2sim.diagnosis import evidence, stage
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Candidate, cost_of_answer
-from real2sim.diagnosis.noise import hold_uncertainty
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
+from real2sim.effects.base import Where
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.recording.noise import hold_uncertainty
+from real2sim.system.plant import impedances
 
 from tests.unit.simulated_effects import LEVEL, SCALES, replay
 from tests.unit.test_coupling import CONFIG, PRIOR, ROBOT

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from real2sim import signals
-from real2sim.diagnosis.jumps import SPIKE_RESIDUAL_SD, ghosts, spikes, without_ghosts
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
+from real2sim.recording.jumps import SPIKE_RESIDUAL_SD, ghosts, spikes, without_ghosts
 from real2sim.signals import lowpass
 from scipy.spatial.transform import Rotation
 

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.coupling.plant import ROBOT_JOINTS
 from real2sim.diagnosis import evidence
 from real2sim.diagnosis.evidence import _from_standing
-from real2sim.diagnosis.noise import BANDS_HZ, drawn_together, noise_colour, rest_uncertainty, robot_noise
 from real2sim.geometry import AXES
+from real2sim.recording.noise import BANDS_HZ, drawn_together, noise_colour, rest_uncertainty, robot_noise
 from real2sim.signals import lowpass
+from real2sim.system.plant import ROBOT_JOINTS
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECTS, Placed
 from real2sim.diagnosis.attribute import (
     OUT_OF_REACH,
     QUIET_REFITS,
@@ -27,8 +26,9 @@ from real2sim.diagnosis.attribute import (
 )
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, _fresh_starts, _parabola, _together
-from real2sim.identification.least_squares import STEP, Tangent
-from real2sim.identification.parameters import Bounds
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.inference.least_squares import STEP, Tangent
+from real2sim.inference.parameters import Bounds
 
 from tests.unit.simulated_effects import SCALES, placed_whole
 from tests.unit.test_coupling import CONFIG, PRIOR

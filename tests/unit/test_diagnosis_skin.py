@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.coupling.effects import EFFECTS
-from real2sim.diagnosis.skin import skin_of
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
+from real2sim.recording.skin import skin_of
 from scipy.spatial.transform import Rotation
 
 from tests.unit.simulated_effects import PELVIS_SHAPE

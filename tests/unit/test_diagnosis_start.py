@@ -10,13 +10,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.coupling.mechanisms.friction import SmoothFriction
-from real2sim.coupling.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from real2sim.diagnosis.stage import _stages
-from real2sim.diagnosis.start import FIRST_S, at_first, moved_to_first
-from real2sim.diagnosis.tables import without_filled
+from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.effects.friction import SmoothFriction
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
+from real2sim.recording.start import FIRST_S, at_first, moved_to_first
+from real2sim.recording.tables import without_filled
+from real2sim.system.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 

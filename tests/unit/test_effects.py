@@ -8,21 +8,21 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from real2sim.coupling import chains
-from real2sim.coupling.answers import Admittance, Answer, HoldIntegral, Reaction
-from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.coupling.mechanisms.base import Where
-from real2sim.coupling.mechanisms.memory import bouc_wen, eyring, maxwell
-from real2sim.coupling.mechanisms.planned import PlannedForce
-from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
-from real2sim.coupling.replay import servo_command
 from real2sim.diagnosis import evidence
 from real2sim.diagnosis.refit import JointResiduals
 from real2sim.diagnosis.search import Pair, Search
+from real2sim.effects import chains
+from real2sim.effects.base import Where
+from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reaction
+from real2sim.effects.memory import bouc_wen, eyring, maxwell
+from real2sim.effects.planned import PlannedForce
 from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
-from real2sim.identification.parameters import Bounds
-from real2sim.phantom.suite.plan import EFFECTS as SUITE_EFFECTS
+from real2sim.inference.parameters import Bounds
 from real2sim.signals import lowpass
+from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
+from real2sim.system.replay import servo_command
+from real2sim.verification.suite.plan import EFFECTS as SUITE_EFFECTS
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -330,7 +330,7 @@ def test_a_start_out_of_reach_leaves_the_other_simulations_alone(monkeypatch):
             raise ValueError("too far")
         return robot_pose_for(*pose)
 
-    monkeypatch.setattr("real2sim.coupling.superset.robot_pose_for", reach)
+    monkeypatch.setattr("real2sim.system.effect_replay.robot_pose_for", reach)
     paths, joints = model.run_effects(np.tile(PRIOR, (3, 1)), x)
     assert np.isnan(paths[1]).all()
     np.testing.assert_array_equal(paths[[0, 2]], whole[[0, 2]])

@@ -2,13 +2,13 @@
 
 import pytest
 from real2sim.artefacts import number, read_json, read_table, write_json
-from real2sim.figures.fits import convergence_figure, icc_figure, loso_figure
-from real2sim.figures.style import PHANTOM_LABEL, new_figure, signed
-from real2sim.figures.tables import cross_trial_table, priors_table
-from real2sim.figures.tightness import tightness_figure
-from real2sim.statistics.loso import loso_table
-from real2sim.statistics.shareability import priors, shareability
-from real2sim.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
+from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
+from real2sim.pages.style import PHANTOM_LABEL, new_figure, signed
+from real2sim.pages.tables import cross_trial_table, priors_table
+from real2sim.pages.tightness import tightness_figure
+from real2sim.study.statistics.loso import loso_table
+from real2sim.study.statistics.shareability import priors, shareability
+from real2sim.study.tightness import tightness_breakpoints, tightness_cohort, tightness_sweep
 from synthetic_results import write_fits, write_loso, write_subject_yaml, write_sweep_poses
 from synthetic_study import PUBLISHED, STATISTICS, TIGHTNESS
 
@@ -43,7 +43,7 @@ def test_figures_of_the_fits_are_written_and_deterministic(tmp_path, people):
 
 
 def test_of_many_people_a_figure_shows_a_few_or_all_as_one_cloud(tmp_path, monkeypatch):
-    monkeypatch.setattr("real2sim.figures.style.NAMED_PEOPLE", 3)
+    monkeypatch.setattr("real2sim.pages.style.NAMED_PEOPLE", 3)
     fits, tables = _results(tmp_path, 5)
     apart = read_json(fits[-1])
     write_json(fits[-1], apart | {"cost": apart["cost"] | {"J": 10 * apart["cost"]["J"]}})

@@ -5,10 +5,10 @@ import struct
 import numpy as np
 import pytest
 from real2sim.errors import InputError
-from real2sim.formats.opensim import PELVIS_COORDINATES, read_coordinates, write_coordinates
-from real2sim.formats.qualisys import read_markers, write_markers
-from real2sim.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
-from real2sim.formats.robot_log import ARM_JOINTS, BASE_COLUMNS, read_log, write_log
+from real2sim.recording.formats.opensim import PELVIS_COORDINATES, read_coordinates, write_coordinates
+from real2sim.recording.formats.qualisys import read_markers, write_markers
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
+from real2sim.recording.formats.robot_log import ARM_JOINTS, BASE_COLUMNS, read_log, write_log
 
 
 def codes(recording):
@@ -344,7 +344,7 @@ def test_every_flipped_byte_is_refused_or_harmless(tmp_path):
 def write_messages(path, topic, type_name, definition, payloads, *, message_encoding="cdr", times=None):
     """One more topic beside a whole /joint_states."""
     from mcap.writer import Writer
-    from real2sim.formats import robot_log as module
+    from real2sim.recording.formats import robot_log as module
 
     with open(path, "wb") as stream:
         writer = Writer(stream)
@@ -375,7 +375,7 @@ def write_messages(path, topic, type_name, definition, payloads, *, message_enco
     ],
 )
 def test_payloads_that_are_not_what_they_say_are_refused(tmp_path, case, message):
-    from real2sim.formats import robot_log as module
+    from real2sim.recording.formats import robot_log as module
 
     payloads = module._messages(robot_log(n=5))["/odom"][1]
     topic, type_name, definition = "/odom", module.ODOMETRY, module._schema_text(module.ODOMETRY)
@@ -399,7 +399,7 @@ def test_payloads_that_are_not_what_they_say_are_refused(tmp_path, case, message
 
 
 def test_messages_out_of_order_are_ordered_by_log_time(tmp_path):
-    from real2sim.formats import robot_log as module
+    from real2sim.recording.formats import robot_log as module
 
     given = robot_log(n=5)
     payloads = module._messages(given)["/odom"][1]
@@ -412,7 +412,7 @@ def test_messages_out_of_order_are_ordered_by_log_time(tmp_path):
 
 
 def test_layout_rejects_random_bytes_quickly():
-    from real2sim.formats import robot_log as module
+    from real2sim.recording.formats import robot_log as module
 
     rng = np.random.default_rng(4)
     for _ in range(300):

@@ -10,12 +10,12 @@ import pytest
 from real2sim.artefacts import read_json, read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
-from real2sim.figures.quality import quality_figure
-from real2sim.quality import clocks, markers
-from real2sim.quality.gates import bandwidth_hz, noise_cost, reversals
-from real2sim.quality.measure import _robot_clock
-from real2sim.quality.stage import quality_subject, quality_table
-from real2sim.quality.verdict import by_size, require
+from real2sim.pages.quality import quality_figure
+from real2sim.recording.quality import clocks, markers
+from real2sim.recording.quality.gates import bandwidth_hz, noise_cost, reversals
+from real2sim.recording.quality.measure import _robot_clock
+from real2sim.recording.quality.stage import quality_subject, quality_table
+from real2sim.recording.quality.verdict import by_size, require
 from scipy.spatial.transform import Rotation
 
 from benchmarks import faults

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real2sim.configuration import validated
-from real2sim.identification.identifiability import (
+from real2sim.inference.identifiability import (
     AT_BOUND,
     DETERMINED,
     NOT_DETERMINED,
@@ -16,9 +16,9 @@ from real2sim.identification.identifiability import (
     long_run_covariance,
     profile_end,
 )
-from real2sim.identification.least_squares import Residuals, Tangent, minimise, search
-from real2sim.identification.noise_floor import block_bootstrap_mean
-from real2sim.identification.parameters import PARAMETERS, Bounds
+from real2sim.inference.least_squares import Residuals, Tangent, minimise, search
+from real2sim.inference.noise_floor import block_bootstrap_mean
+from real2sim.inference.parameters import PARAMETERS, Bounds
 
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
 TRUTH = np.full(12, np.log(40.0))

@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim.errors import InputError
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, quaternion, rotation_xyz
-from real2sim.identification.cmaes import search
-from real2sim.identification.cost import FAILED_COST, CostScales, TrialCost
-from real2sim.identification.fit import best_of, restart_seed
-from real2sim.identification.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
-from real2sim.identification.trial import load_trial
+from real2sim.inference.cmaes import search
+from real2sim.inference.cost import FAILED_COST, CostScales, TrialCost
+from real2sim.inference.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
+from real2sim.recording.trial import load_trial
+from real2sim.study.fit import best_of, restart_seed
 
 SCALES = CostScales(0.041, 0.080)
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))

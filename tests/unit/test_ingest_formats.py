@@ -7,11 +7,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from handmade_person import SETTINGS, write_person
-from real2sim import alignment
-from real2sim.formats.opensim import read_coordinates
-from real2sim.formats.qualisys import read_markers
-from real2sim.formats.robot_log import read_log
-from real2sim.ingest import ingest_subject
+from real2sim.recording import alignment
+from real2sim.recording.formats.opensim import read_coordinates
+from real2sim.recording.formats.qualisys import read_markers
+from real2sim.recording.formats.robot_log import read_log
+from real2sim.recording.ingest import ingest_subject
 
 from tests.fuzz import seeds
 

@@ -16,14 +16,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Schema
 from PIL import Image
-from real2sim.coupling.plant import ROBOT_JOINTS, load_robot
 from real2sim.errors import InputError
-from real2sim.figures.motion_clip import motion_clip
-from real2sim.formats.mcap_file import Contents, read_messages
 from real2sim.geometry import AXES, interface_coordinates, relative_pose, rotation_matrix, rotation_xyz
-from real2sim.motion.export import CHANNELS, OPTIONAL, export_motion
-from real2sim.motion.replayed import strap_wrench
-from real2sim.motion.scene import arrow, robot_bodies
+from real2sim.pages.motion.export import CHANNELS, OPTIONAL, export_motion
+from real2sim.pages.motion.replayed import strap_wrench
+from real2sim.pages.motion.scene import arrow, robot_bodies
+from real2sim.pages.motion_clip import motion_clip
+from real2sim.recording.formats.mcap_file import Contents, read_messages
+from real2sim.system.plant import ROBOT_JOINTS, load_robot
 from recorded_trial import CONFIG, ROBOT, RecordedTrial, record
 
 GAP = slice(500, 560)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table, write_table
-from real2sim.identification.parameters import PARAMETERS
-from real2sim.statistics import icc, nested
-from real2sim.statistics.classes import (
+from real2sim.inference.parameters import PARAMETERS
+from real2sim.study.statistics import icc, nested
+from real2sim.study.statistics.classes import (
     BOUND,
     CLASS_COLUMNS,
     FLAT,
@@ -17,7 +17,7 @@ from real2sim.statistics.classes import (
     classes,
     verdict,
 )
-from real2sim.statistics.shareability import shareability
+from real2sim.study.statistics.shareability import shareability
 from synthetic_results import write_fits
 from test_statistics import SETTINGS
 

@@ -10,10 +10,10 @@ import pytest
 from real2sim.__main__ import main
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
-from real2sim.figures.diagnosis import diagnosis_page, diagnosis_table
-from real2sim.figures.style import PHANTOM_LABEL
-from real2sim.figures.suite import suite_page
 from real2sim.geometry import AXES, INTERFACE_MARKERS
+from real2sim.pages.diagnosis import diagnosis_page, diagnosis_table
+from real2sim.pages.style import PHANTOM_LABEL
+from real2sim.pages.suite import suite_page
 
 VOID = {"meta", "br"}
 

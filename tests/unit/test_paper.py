@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table, write_table
 from real2sim.errors import InputError
-from real2sim.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
-from real2sim.paper.latex import escaped, latex_table, macro_name, macros
-from real2sim.paper.tables import paper_figures
+from real2sim.study.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
+from real2sim.study.paper.latex import escaped, latex_table, macro_name, macros
+from real2sim.study.paper.tables import paper_figures
 from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_refined, write_study, write_twin
 
 LIBRARY = Path(__file__).parents[2] / "workflow" / "real2sim"
@@ -294,12 +294,12 @@ def _printed(path: Path) -> list[str]:
 @pytest.mark.parametrize(
     "module",
     [
-        "figures/person.py",
-        "figures/report.py",
-        "figures/suite.py",
-        "figures/diagnosis.py",
-        "paper/claims.py",
-        "paper/tables.py",
+        "pages/person.py",
+        "pages/report.py",
+        "pages/suite.py",
+        "pages/diagnosis.py",
+        "study/paper/claims.py",
+        "study/paper/tables.py",
     ],
 )
 def test_no_number_on_a_page_is_typed_by_hand(module):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from real2sim.artefacts import write_json
-from real2sim.figures.person import person_page
-from real2sim.identification.parameters import PARAMETERS, unit
+from real2sim.inference.parameters import PARAMETERS, unit
+from real2sim.pages.person import person_page
 from test_pages import _diagnosis, _Page
 from test_report import WIDTHS
 

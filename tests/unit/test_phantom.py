@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from real2sim.formats.qualisys import read_markers
-from real2sim.formats.robot_log import read_log
-from real2sim.phantom import cohort, exports, plan
-from real2sim.phantom.motions import Motion, pelvis_path
-from real2sim.phantom.person import PARAMETER_NAMES, draw_person
-from real2sim.phantom.physics import StrapLaw, strap_wrench
-from real2sim.phantom.tasks import dynamic, motion_of
+from real2sim.recording.formats.qualisys import read_markers
+from real2sim.recording.formats.robot_log import read_log
+from real2sim.verification.phantom import cohort, exports, plan
+from real2sim.verification.phantom.motions import Motion, pelvis_path
+from real2sim.verification.phantom.person import PARAMETER_NAMES, draw_person
+from real2sim.verification.phantom.physics import StrapLaw, strap_wrench
+from real2sim.verification.phantom.tasks import dynamic, motion_of
 from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).parents[2]
@@ -239,7 +239,7 @@ def write(settings, folder):
 
 
 def test_writes_exactly_what_is_planned_twice_the_same(settings, tmp_path):
-    from real2sim.subjects import discover
+    from real2sim.recording.subjects import discover
 
     settings = small(settings)
     out, truth = write(settings, tmp_path / "a")

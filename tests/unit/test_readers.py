@@ -7,8 +7,18 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 from real2sim.errors import InputError
-from real2sim.formats import c3d, detect, mat5, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
-from real2sim.formats.robot_log import ARM_JOINTS
+from real2sim.recording.formats import (
+    c3d,
+    detect,
+    mat5,
+    mcap_file,
+    opensim,
+    qualisys,
+    qualisys_mat,
+    robot_log,
+    trc,
+)
+from real2sim.recording.formats.robot_log import ARM_JOINTS
 
 from tests.fuzz import seeds
 
@@ -104,7 +114,7 @@ def test_fast_and_slow_parsers_give_the_same_bits(tmp_path):
     positions["M 3"][5:9] = np.nan
     path = tmp_path / "a.tsv"
     qualisys.write_markers(path, qualisys.MarkerRecording(np.arange(900) / 100, 100.0, positions))
-    from real2sim.formats import text
+    from real2sim.recording.formats import text
 
     fast = qualisys.read_markers(path)
     large, text._LARGE = text._LARGE, 10**9

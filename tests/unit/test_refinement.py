@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table, write_json, write_table
 from real2sim.configuration import validated
-from real2sim.coupling.export import START_KEY
 from real2sim.errors import InputError
-from real2sim.identification.identifiability import AT_BOUND, assess
-from real2sim.identification.interface import export_interface
-from real2sim.identification.parameters import PARAMETERS, Bounds, as_vector
-from real2sim.identification.refinement import (
+from real2sim.inference.identifiability import AT_BOUND, assess
+from real2sim.inference.parameters import PARAMETERS, Bounds, as_vector
+from real2sim.study.interface import export_interface
+from real2sim.study.refinement import (
     Search,
     against_full,
     beyond_ends,
@@ -27,6 +26,7 @@ from real2sim.identification.refinement import (
     refine_residuals,
     would_gain,
 )
+from real2sim.system.export import START_KEY
 from recorded_trial import CONFIG, PUBLISHED, ROBOT, record
 
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))

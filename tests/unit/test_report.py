@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from real2sim.artefacts import write_json
-from real2sim.figures.report import FIGURES, report_page
+from real2sim.pages.report import FIGURES, report_page
 from synthetic_study import REMEDY, write_study
 from test_pages import _diagnosis, _Page
 
@@ -112,8 +112,8 @@ def test_a_section_stands_where_what_it_tells_of_exists(tmp_path):
 
 def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeypatch):
     path, given = report
-    monkeypatch.setattr("real2sim.figures.report.MANY_PEOPLE", 2)
-    monkeypatch.setattr("real2sim.figures.report.MANY_FILES", 2)
+    monkeypatch.setattr("real2sim.pages.report.MANY_PEOPLE", 2)
+    monkeypatch.setattr("real2sim.pages.report.MANY_FILES", 2)
     out = tmp_path / "report.html"
     diagnoses = [path.with_name("diagnosis.json")] * 3
     report_page(**given, title="Many", out=out, diagnoses=diagnoses)

@@ -16,7 +16,7 @@ from real2sim.artefacts import read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.failures import FAILED, FailedJobs, failures
-from real2sim.identification.parameters import PARAMETERS
+from real2sim.inference.parameters import PARAMETERS
 from real2sim.shell import braced
 
 ROOT = Path(__file__).parents[2]
@@ -116,26 +116,26 @@ def _edited(library, file, old, new, module):
     return before != provenance.fingerprint(module)
 
 
-FIT = "real2sim.identification.fit"
+FIT = "real2sim.study.fit"
 
 
 @pytest.mark.parametrize(
     ("file", "old", "new", "module", "changes"),
     [
-        ("identification/cost.py", "1e6", "2e6", FIT, True),
-        ("coupling/plant.py", "PELVIS_MASS = 1e6", "PELVIS_MASS = 2e6", FIT, True),
+        ("inference/cost.py", "1e6", "2e6", FIT, True),
+        ("system/plant.py", "PELVIS_MASS = 1e6", "PELVIS_MASS = 2e6", FIT, True),
         ("geometry.py", "/ 2\n", "/ 2.5\n", FIT, True),
-        ("identification/cost.py", '"""Cost', '"""The cost', FIT, False),
+        ("inference/cost.py", '"""Cost', '"""The cost', FIT, False),
         (
-            "identification/cost.py",
+            "inference/cost.py",
             "self._half_rate = rate_hz / 2",
             "self._half_rate = rate_hz / 2  # x",
             FIT,
             False,
         ),
-        ("figures/style.py", "#0072B2", "#0072B3", FIT, False),
-        ("figures/style.py", "#0072B2", "#0072B3", "real2sim.figures.fits", True),
-        ("identification/transfer.py", "< 2", "< 3", FIT, False),
+        ("pages/style.py", "#0072B2", "#0072B3", FIT, False),
+        ("pages/style.py", "#0072B2", "#0072B3", "real2sim.pages.fits", True),
+        ("study/transfer.py", "< 2", "< 3", FIT, False),
     ],
 )
 def test_fingerprint_follows_code_and_nothing_else(library, file, old, new, module, changes):

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from real2sim import alignment, geometry, signals
+from real2sim import geometry, signals
+from real2sim.recording import alignment
 from scipy.spatial.transform import Rotation
 
 RATE = 100.0

@@ -8,16 +8,22 @@ import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table, write_json, write_table
 from real2sim.errors import InputError
-from real2sim.identification.parameters import PARAMETERS, parameter_column, unit
-from real2sim.statistics import icc
-from real2sim.statistics.loso import leave_one_out_prior, loso_table, overhead
-from real2sim.statistics.piecewise import (
+from real2sim.inference.parameters import PARAMETERS, parameter_column, unit
+from real2sim.study.statistics import icc
+from real2sim.study.statistics.loso import leave_one_out_prior, loso_table, overhead
+from real2sim.study.statistics.piecewise import (
     breakpoint_interval,
     breakpoint_interval_by_group,
     breakpoint_p_value,
     fit_piecewise,
 )
-from real2sim.statistics.shareability import classify, prediction_interval, priors, read_fits, shareability
+from real2sim.study.statistics.shareability import (
+    classify,
+    prediction_interval,
+    priors,
+    read_fits,
+    shareability,
+)
 from synthetic_results import CENTRE, write_fits, write_loso
 
 SETTINGS = {

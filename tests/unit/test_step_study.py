@@ -7,8 +7,8 @@ import json
 
 import numpy as np
 import pytest
-from real2sim.identification.parameters import Bounds
-from real2sim.identification.step_study import parameter_draws, step_study
+from real2sim.inference.parameters import Bounds
+from real2sim.study.step_study import parameter_draws, step_study
 from recorded_trial import CONFIG, PUBLISHED, ROBOT, record
 
 BOUNDS = Bounds.from_config(CONFIG["identification"]["bounds"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from real2sim.errors import InputError
-from real2sim.subjects import discover, parse_trial, read_subject, require_operating_point
+from real2sim.recording.subjects import discover, parse_trial, read_subject, require_operating_point
 
 VALUES = {
     "id": "S01",
@@ -246,7 +246,7 @@ def test_many_people_take_no_more_time_each_than_few(tmp_path):
 
 def test_light_imports():
     heavy = ("numpy", "scipy", "pandas")
-    code = f"import sys, real2sim.subjects; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, real2sim.recording.subjects; print([m for m in {heavy} if m in sys.modules])"
     workflow = Path(__file__).parents[2] / "workflow"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=workflow, capture_output=True, text=True, check=True

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import yaml
 from real2sim.configuration import validated
-from real2sim.diagnosis.noise import robot_noise
-from real2sim.ingest import ingest_subject
-from real2sim.phantom import tasks
-from real2sim.phantom.motions import Motion, pelvis_path
-from real2sim.phantom.person import Person
-from real2sim.phantom.physics import Controller, Robot
-from real2sim.phantom.suite import excitation, laws, measurement, plan
-from real2sim.phantom.suite.effects import FORMS
-from real2sim.phantom.suite.laws import EffectLaw
-from real2sim.phantom.suite.setups import Setup, run
-from real2sim.phantom.suite.severity import Search
-from real2sim.phantom.suite.write import regimes, write_cases
+from real2sim.recording.ingest import ingest_subject
+from real2sim.recording.noise import robot_noise
+from real2sim.verification.phantom import tasks
+from real2sim.verification.phantom.motions import Motion, pelvis_path
+from real2sim.verification.phantom.person import Person
+from real2sim.verification.phantom.physics import Controller, Robot
+from real2sim.verification.suite import excitation, laws, measurement, plan
+from real2sim.verification.suite.effects import FORMS
+from real2sim.verification.suite.laws import EffectLaw
+from real2sim.verification.suite.setups import Setup, run
+from real2sim.verification.suite.severity import Search
+from real2sim.verification.suite.write import regimes, write_cases
 from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).parents[2]
@@ -333,7 +333,7 @@ def test_tilt_pulls_with_the_weight_of_each_body():
             }
         ],
     )
-    from real2sim.phantom.physics import Step
+    from real2sim.verification.phantom.physics import Step
 
     nothing, bodies = np.zeros((1, 6)), np.zeros((1, 3, 3))
     term(Step(0.3, nothing, nothing, np.zeros((1, 3)), np.zeros((1, 3))), nothing, bodies)
@@ -533,9 +533,10 @@ def test_no_file_of_a_case_tells_its_cause(written):
             assert not any(f"{name}" in text for name in ("slack", "sync_offset", "severity"))
 
 
-def test_nothing_but_the_phantom_imports_the_suite():
+def test_nothing_of_the_library_imports_the_room_of_proofs():
     library = ROOT / "workflow" / "real2sim"
     for path in library.rglob("*.py"):
-        if "phantom" not in path.relative_to(library).parts:
-            assert "import real2sim.phantom" not in path.read_text()
-            assert "from real2sim.phantom" not in path.read_text(), path
+        if "verification" not in path.relative_to(library).parts:
+            lines = [line.lstrip() for line in path.read_text().splitlines()]
+            imports = [line for line in lines if line.startswith(("import real2sim", "from real2sim"))]
+            assert not any("real2sim.verification" in line for line in imports), path

@@ -8,8 +8,8 @@ import pytest
 import yaml
 from real2sim.artefacts import read_json, write_json
 from real2sim.configuration import validated
-from real2sim.diagnosis import suite as answers
-from real2sim.phantom.suite import plan
+from real2sim.verification import answers as answers
+from real2sim.verification.suite import plan
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources/robot/drba.xml"

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from real2sim.errors import InputError
-from real2sim.formats import detect, mcap_file, qualisys, robot_log
-from real2sim.formats.opensim import is_translation
+from real2sim.recording.formats import detect, mcap_file, qualisys, robot_log
+from real2sim.recording.formats.opensim import is_translation
 
 FOLDER = Path(__file__).parents[3] / "shared" / "third_party"
 EXPECTED = json.loads((FOLDER / "expected.json").read_text()) if FOLDER.is_dir() else {}

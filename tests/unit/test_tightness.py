@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from real2sim.artefacts import number, read_table
 from real2sim.errors import InputError
-from real2sim.limits import joint_limits
-from real2sim.tightness import (
+from real2sim.study.limits import joint_limits
+from real2sim.study.tightness import (
     normalised_tightness,
     tightness_breakpoints,
     tightness_cohort,

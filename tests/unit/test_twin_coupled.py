@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 import yaml
 from real2sim.configuration import validated
-from real2sim.coupling.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
-from real2sim.figures.twin import gait_figure, interface_figure
 from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
-from real2sim.identification.parameters import PARAMETERS
-from real2sim.twin import adaptation
-from real2sim.twin.coupled import (
+from real2sim.inference.parameters import PARAMETERS
+from real2sim.pages.twin import gait_figure, interface_figure
+from real2sim.study.twin import adaptation
+from real2sim.study.twin.coupled import (
     COMPLIANCES,
     Condition,
     CoupledWalk,
@@ -25,11 +24,12 @@ from real2sim.twin.coupled import (
     coupled_spec,
     strap_vectors,
 )
-from real2sim.twin.env import ACTIONS, OBSERVATIONS
-from real2sim.twin.gait import SAGITTAL
-from real2sim.twin.policy import Policy
-from real2sim.twin.ppo import init_layers
-from real2sim.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows, read_paper
+from real2sim.study.twin.env import ACTIONS, OBSERVATIONS
+from real2sim.study.twin.gait import SAGITTAL
+from real2sim.study.twin.policy import Policy
+from real2sim.study.twin.ppo import init_layers
+from real2sim.study.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows, read_paper
+from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
 
 from tests.unit.walking_person import ROOT, WHO, reference
 
@@ -195,7 +195,7 @@ def _steady(sigma: np.ndarray) -> Recording:
 
 
 def _index(name: str) -> int:
-    from real2sim.twin.human import JOINTS
+    from real2sim.study.twin.human import JOINTS
 
     return JOINTS.index(name)
 

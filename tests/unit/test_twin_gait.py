@@ -9,10 +9,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.errors import InputError
-from real2sim.twin import gait
-from real2sim.twin.gait import PHASES, SAGITTAL, heel_strikes, measured_cycle, read_walk, settled, strides
-from real2sim.twin.human import JOINTS
-from real2sim.twin.policy import load_reference, save_reference
+from real2sim.study.twin import gait
+from real2sim.study.twin.gait import (
+    PHASES,
+    SAGITTAL,
+    heel_strikes,
+    measured_cycle,
+    read_walk,
+    settled,
+    strides,
+)
+from real2sim.study.twin.human import JOINTS
+from real2sim.study.twin.policy import load_reference, save_reference
 
 from tests.unit.walking_person import WHO, measured_curves, reference
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from real2sim.twin.human import (
+from real2sim.study.twin.human import (
     COMMANDED,
     FREE_DOFS,
     JOINTS,

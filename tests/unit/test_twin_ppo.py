@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real2sim.twin.ppo import (
+from real2sim.study.twin.ppo import (
     Adam,
     Learner,
     Normaliser,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
-from real2sim.twin.env import (
+from real2sim.study.twin.env import (
     ACTIONS,
     OBSERVATIONS,
     RootState,
@@ -20,10 +20,10 @@ from real2sim.twin.env import (
     observe,
     rotations,
 )
-from real2sim.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
-from real2sim.twin.human import MIRROR, MIRROR_SIGN
-from real2sim.twin.policy import load_policy, save_policy, save_reference
-from real2sim.twin.train import Trainer, train, twin_train
+from real2sim.study.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
+from real2sim.study.twin.human import MIRROR, MIRROR_SIGN
+from real2sim.study.twin.policy import load_policy, save_policy, save_reference
+from real2sim.study.twin.train import Trainer, train, twin_train
 
 from tests.unit.walking_person import WHO, reference, twin_settings
 
@@ -219,7 +219,7 @@ def test_who_passes_the_free_walk_is_pushed_too(monkeypatch):
     settings = trainer.settings["evaluation"]
     settings |= {"walk_s": 1.0, "settle_s": 0.2, "walkers": 2, "battery_after_s": 0.5, "push_minutes": 6}
     assert set(trainer.evaluate()) == {"steps", "walk", "met", "passed"}, "who falls is not"
-    monkeypatch.setattr("real2sim.twin.train.accepted", lambda walk, bars: {"falls": True})
+    monkeypatch.setattr("real2sim.study.twin.train.accepted", lambda walk, bars: {"falls": True})
     verdict = trainer.evaluate()
     assert verdict["met"] == {"falls": True, "battery": False, "pushes": False}
     assert not verdict["passed"]
@@ -316,7 +316,7 @@ def test_falls_of_a_policy_that_cannot_walk_are_counted():
 
 
 def test_sources_of_the_twin_know_nothing_of_the_phantom():
-    folder = Path(__file__).parents[2] / "workflow" / "real2sim" / "twin"
+    folder = Path(__file__).parents[2] / "workflow" / "real2sim" / "study" / "twin"
     for path in folder.glob("*.py"):
-        assert "real2sim.phantom" not in path.read_text(encoding="utf-8")
+        assert "real2sim.verification.phantom" not in path.read_text(encoding="utf-8")
         assert "snakemake" not in path.read_text(encoding="utf-8").lower()

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 from real2sim.configuration import validated
-from real2sim.twin.gait import PHASES, Reference, make_reference
-from real2sim.twin.human import Body
+from real2sim.study.twin.gait import PHASES, Reference, make_reference
+from real2sim.study.twin.human import Body
 
 ROOT = Path(__file__).parents[2]
 WHO = Body(1.75, 75.0, "male")

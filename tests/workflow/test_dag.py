@@ -79,7 +79,7 @@ def test_nothing_but_the_phantom_stage_imports_the_phantom(project):
         path.relative_to(library).as_posix()
         for path in library.rglob("*.py")
         if "phantom" not in path.relative_to(library).parts
-        and "real2sim.phantom" in path.read_text().replace('"real2sim.phantom', "")
+        and "real2sim.verification.phantom" in path.read_text().replace('"real2sim.verification.phantom', "")
     ]
     assert importers == []
 

@@ -60,12 +60,12 @@ def test_touched_clone_fits_nothing(mini):
     ],
 )
 def test_comment_or_docstring_in_the_library_runs_nothing(mini, old, new):
-    mini.edit("workflow/real2sim/identification/cost.py", old, new)
+    mini.edit("workflow/real2sim/inference/cost.py", old, new)
     assert mini.planned() == {}
 
 
 def test_changed_constant_in_the_cost_runs_all_fits_and_what_follows(mini):
-    mini.edit("workflow/real2sim/identification/cost.py", "FAILED_COST = 1e6", "FAILED_COST = 2e6")
+    mini.edit("workflow/real2sim/inference/cost.py", "FAILED_COST = 1e6", "FAILED_COST = 2e6")
     planned = mini.planned()
     assert planned["fit"] == 2 * 2 + 1, "and that of the person kept for validation"
     assert planned["cross_trial"] == 2
@@ -79,7 +79,7 @@ def test_changed_setting_of_the_search_runs_all_fits(mini):
 
 
 def test_changed_colour_runs_only_figures(mini):
-    mini.edit("workflow/real2sim/figures/style.py", "#0072B2", "#0072B3")
+    mini.edit("workflow/real2sim/pages/style.py", "#0072B2", "#0072B3")
     planned = mini.planned()
     assert planned
     assert all("figure" in rule or rule in ("report_page", "person_page", "all") for rule in planned), planned

@@ -31,11 +31,11 @@ from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
-from real2sim.identification.parameters import PARAMETERS
-from real2sim.phantom.plan import planned_files, planned_subjects
-from real2sim.phantom.suite.plan import case_names, expected_time, shards
+from real2sim.inference.parameters import PARAMETERS
+from real2sim.verification.phantom.plan import planned_files, planned_subjects
+from real2sim.verification.suite.plan import case_names, expected_time, shards
 from real2sim.provenance import fingerprint
-from real2sim.subjects import discover, require_operating_point
+from real2sim.recording.subjects import discover, require_operating_point
 
 # those that later stages ask for come first: Snakemake looks for who makes a file from the front
 TABLES = ["pose.parquet", "markers.parquet", "quality.json", "joints.parquet", "robot.parquet"]

@@ -11,15 +11,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from real2sim.coupling.effects import EFFECTS, Placed
-from real2sim.coupling.mechanisms.base import Scales
-from real2sim.coupling.mechanisms.memory import TwoTimes
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis
 from real2sim.diagnosis.search import KEEP, Pair, Screened, Search, conflict
-from real2sim.identification import least_squares
-from real2sim.identification.parameters import Bounds
+from real2sim.effects.base import Scales
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.memory import TwoTimes
+from real2sim.inference import least_squares
+from real2sim.inference.parameters import Bounds
 
 T = TypeVar("T")
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from real2sim.coupling.effects import EFFECT_NAMES, EFFECTS
+from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS
 
 NONE, UNKNOWN = "none", "unknown"
 

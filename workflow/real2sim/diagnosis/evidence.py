@@ -20,17 +20,16 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
-from real2sim.coupling.chains import Context, Elsewhere, markers_of
-from real2sim.coupling.drive import PelvisDrive, pelvis_drive
-from real2sim.coupling.effects import EFFECTS, Effect, EffectParameter, Placed
-from real2sim.coupling.mechanisms.base import Scales, Where
-from real2sim.coupling.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
-from real2sim.coupling.superset import EffectReplay, InputBasis
-from real2sim.diagnosis.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
-from real2sim.diagnosis.noise import BANDS_HZ, hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
-from real2sim.diagnosis.skin import Skin, skin_of
-from real2sim.diagnosis.start import at_first, moved_to_first
-from real2sim.diagnosis.tables import (
+from real2sim.effects.base import Scales, Where
+from real2sim.effects.catalogue import EFFECTS, Effect, EffectParameter, Placed
+from real2sim.effects.chains import Context, Elsewhere, markers_of
+from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
+from real2sim.recording.noise import BANDS_HZ, hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.skin import Skin, skin_of
+from real2sim.recording.start import at_first, moved_to_first
+from real2sim.recording.tables import (
     bridged_rotation,
     log_offset_sd,
     mean_pelvis,
@@ -39,9 +38,10 @@ from real2sim.diagnosis.tables import (
     rotation_vectors,
     without_filled,
 )
-from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
-from real2sim.identification.cost import CostScales, TrialCost
-from real2sim.identification.trial import Trial, load_limits, load_trial, replay_inputs
+from real2sim.recording.trial import Trial, load_limits, load_trial, replay_inputs
+from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.effect_replay import EffectReplay, InputBasis
+from real2sim.system.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
 
 # What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
 # plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.

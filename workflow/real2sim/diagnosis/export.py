@@ -10,18 +10,18 @@ import mujoco
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.coupling.effects import EFFECTS, Effect, Placed
-from real2sim.coupling.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
-from real2sim.coupling.mechanisms.base import Scales, Where
-from real2sim.coupling.mechanisms.planned import DrivenForce
 from real2sim.diagnosis.evidence import BALANCE, load_evidence
-from real2sim.diagnosis.noise import marker_noise
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.effects.base import Scales, Where
+from real2sim.effects.catalogue import EFFECTS, Effect, Placed
+from real2sim.effects.planned import DrivenForce
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.geometry import AXES
-from real2sim.identification.parameters import PARAMETERS
+from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import fingerprint, provenance
+from real2sim.recording.noise import marker_noise
+from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 _PACKAGES = ["mujoco", "numpy", "scipy"]

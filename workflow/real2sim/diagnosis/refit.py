@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from real2sim.coupling.effects import Placed
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.skin import Skin
-from real2sim.identification import least_squares
-from real2sim.identification.parameters import Bounds
+from real2sim.effects.catalogue import Placed
+from real2sim.inference import least_squares
+from real2sim.inference.parameters import Bounds
+from real2sim.recording.skin import Skin
 
 BATCH = 16
 # A coordinate whose bounds are no further apart than this is held

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.stats import qmc
 
-from real2sim.coupling.effects import Placed
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
-from real2sim.identification.least_squares import Tangent
-from real2sim.identification.parameters import Bounds
+from real2sim.effects.catalogue import Placed
+from real2sim.inference.least_squares import Tangent
+from real2sim.inference.parameters import Bounds
 
 # A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
 KEEP = 0.3

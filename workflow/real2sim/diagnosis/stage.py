@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.coupling.effects import EFFECTS
 from real2sim.diagnosis.attribute import (
     Attribution,
     attribute,
@@ -38,15 +37,16 @@ from real2sim.diagnosis.decide import (
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence, adapted, load_evidence
 from real2sim.diagnosis.export import described
 from real2sim.diagnosis.localise import axis_shares, where
-from real2sim.diagnosis.noise import marker_noise
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.identification.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
-from real2sim.identification.noise_floor import block_bootstrap_mean
-from real2sim.identification.parameters import PARAMETERS, Bounds, unit
+from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
+from real2sim.inference.noise_floor import block_bootstrap_mean
+from real2sim.inference.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
-from real2sim.quality.verdict import refused_gates
+from real2sim.recording.noise import marker_noise
+from real2sim.recording.quality.verdict import refused_gates
 
 # Share of the floor below which J shows no gap that could be closed
 SMALLEST_GAP = 0.02

@@ -1,1 +1,0 @@
-"""The robot, the strap and the replayed pelvis as one MuJoCo plant."""

@@ -1,1 +1,0 @@
-"""Cost, search and what becomes of a fit."""

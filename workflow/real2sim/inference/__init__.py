@@ -1,0 +1,1 @@
+"""Cost, searches, identifiability and noise floor of a fit: what is fitted is not known here."""

@@ -1,0 +1,219 @@
+"""Bounded least squares on ln-parameters: far fewer evaluations than CMA-ES to the same optimum.
+
+The cost is a sum of squares, so its slope and most of its curvature come from one Jacobian, and a Jacobian by finite
+differences is one batch of 13 replays. A few log-uniform points are tried first; the best of them starts a trust-region
+search (scipy.optimize.least_squares, Branch, Coleman & Li 1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from real2sim.inference.parameters import Bounds
+from real2sim.inference.result import SearchResult
+
+# Finite-difference step in ln-parameters: truncation and round-off of a replay balance over a wide range around it
+STEP = 1e-4
+# Residual that stands for each one of a simulation that failed
+_FAILED = 1e3
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Residuals (n_r,) at a point (n,) and their Jacobian (n_r, n) there."""
+
+    z: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+
+
+class Residuals:
+    """Residuals and Jacobian of a trial in ln-parameters, in batches, with the evaluations counted.
+
+    ``residuals`` maps parameters (m, 12) to (m, n_r), whose sum of squares is the cost; ``batch`` is the most that it
+    takes at once.
+    """
+
+    def __init__(self, residuals: Callable[[np.ndarray], np.ndarray], bounds: Bounds, batch: int):
+        self._residuals, self._batch = residuals, batch
+        self.lower, self.upper = np.log(bounds.lower), np.log(bounds.upper)
+        self.evaluations = 0
+
+    def many(self, z: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) of ln-parameters (m, 12)."""
+        self.evaluations += len(z)
+        parts = [self._residuals(np.exp(z[i : i + self._batch])) for i in range(0, len(z), self._batch)]
+        return np.concatenate(parts)
+
+    def costs(self, z: np.ndarray) -> np.ndarray:
+        """Costs (m,) of ln-parameters (m, 12); infinite where a simulation failed."""
+        cost = np.array([np.sum(r * r) for r in self.many(z)])
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n_r,) and forward-difference Jacobian (n_r, k) by the k free ln-parameters at z (12,).
+
+        Where the neighbour of a simulation fails, the other neighbour is asked; where both fail, the column is zero and
+        the search leaves that parameter alone.
+        """
+        points, step = self._neighbours(z, free)
+        out = self.many(np.vstack([z, points]))
+        return out[0], self._slopes(z, free, out[0], out[1:], step)
+
+    def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """As `with_jacobian`, where the residuals ``r`` (n_r,) at z are known."""
+        if len(free) == 0:
+            return np.empty((len(r), 0))
+        points, step = self._neighbours(z, free)
+        return self._slopes(z, free, r, self.many(points), step)
+
+    def _neighbours(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        step = np.where(z + STEP > self.upper, -STEP, STEP)[free]
+        points = np.tile(z, (len(free), 1))
+        points[np.arange(len(free)), free] += step
+        return points, step
+
+    def _slopes(
+        self, z: np.ndarray, free: np.ndarray, r: np.ndarray, out: np.ndarray, step: np.ndarray
+    ) -> np.ndarray:
+        failed = ~np.isfinite(out).all(axis=1)
+        if np.isfinite(r).all() and failed.any():
+            other = np.tile(z, (int(failed.sum()), 1))
+            other[np.arange(len(other)), free[failed]] -= step[failed]
+            out[failed], step[failed] = self.many(other), -step[failed]
+            out = np.where(np.isfinite(out).all(axis=1)[:, None], out, r)
+        return ((out - r) / step[:, None]).T
+
+
+def minimise(
+    residuals: Residuals,
+    start: np.ndarray,
+    free: np.ndarray,
+    *,
+    iterations: int,
+    ftol: float,
+    keep: float = 0.0,
+    known: Tangent | None = None,
+) -> tuple[np.ndarray, float, list[tuple[int, float]], int]:
+    """Trust-region search from ln-parameters (12,), of which those listed in ``free`` move.
+
+    As long as a step's residuals are foretold by the Jacobian to a share ``keep`` of what they change, the Jacobian is
+    not taken anew but updated (Broyden 1965); 0 takes it anew at every step. ``known`` is a Jacobian taken before near
+    the start, to go on from as if the search had begun there. Returns the best point, its cost, (evaluations, best
+    cost) per iteration and scipy's status.
+    """
+    history: list[tuple[int, float]] = []
+    best_z, best_cost = start, np.inf
+    asked: tuple[np.ndarray, np.ndarray] = (np.empty(0), np.empty(0))
+    last = None if known is None else Tangent(known.z[free], known.residuals, known.jacobian[:, free])
+
+    def at(x: np.ndarray) -> np.ndarray:
+        z = start.copy()
+        z[free] = x
+        return z
+
+    def value(x: np.ndarray) -> np.ndarray:
+        nonlocal best_z, best_cost, asked
+        z = at(x)
+        r = residuals.many(z[None])[0]
+        cost = float(np.sum(r * r))
+        if not np.isfinite(cost):
+            # a step into a simulation that fails: so bad that the trust region shrinks
+            r = np.full_like(r, _FAILED)
+        elif cost < best_cost:
+            best_z, best_cost = z, cost
+        asked = x.copy(), r
+        history.append((residuals.evaluations, best_cost))
+        return r
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        nonlocal last
+        # scipy asks for the slope where it last asked for the value
+        r = asked[1] if np.array_equal(asked[0], x) else value(x)
+        jacobian = _updated(last, x, r, keep)
+        if jacobian is None and np.all(r == _FAILED):
+            jacobian = np.zeros((len(r), len(free)))
+        elif jacobian is None:
+            jacobian = residuals.jacobian(at(x), r, free)
+        last = Tangent(x.copy(), r, jacobian)
+        return jacobian
+
+    margin = 1e-6
+    lower, upper = residuals.lower[free], residuals.upper[free]
+    solution = least_squares(
+        value,
+        np.clip(start[free], lower + margin, upper - margin),
+        jac=slope,
+        bounds=(lower, upper),
+        method="trf",
+        ftol=ftol,
+        xtol=1e-6,
+        gtol=1e-10,
+        max_nfev=iterations,
+    )
+    history.append((residuals.evaluations, best_cost))
+    return best_z, best_cost, history, int(solution.status)
+
+
+def _updated(last: Tangent | None, x: np.ndarray, r: np.ndarray, keep: float) -> np.ndarray | None:
+    """The last point's Jacobian with a secant of rank one; None where it foretold the residuals too badly."""
+    if last is None or keep <= 0:
+        return None
+    way = x - last.z
+    foretold = last.jacobian @ way
+    missed = r - last.residuals - foretold
+    if way @ way == 0 or np.linalg.norm(missed) > keep * np.linalg.norm(foretold):
+        return None
+    return np.asarray(last.jacobian + np.outer(missed, way / (way @ way)))
+
+
+def search(
+    residuals: Callable[[np.ndarray], np.ndarray],
+    bounds: Bounds,
+    *,
+    batch: int,
+    screen: int,
+    iterations: int,
+    ftol: float,
+    seed: int,
+    progress: Callable[[int, float], None] | None = None,
+) -> SearchResult:
+    """Minimise a sum of squares from the best of a few log-uniform points.
+
+    Parameters
+    ----------
+    residuals
+        Maps parameters (m, 12), m <= batch, to residuals (m, n_r).
+    batch
+        Replays per call.
+    screen
+        Log-uniform points tried before the search starts from the best of them.
+    iterations, ftol
+        Most iterations, and the relative change of the cost at which the search ends.
+    seed
+        Of the points: same seed, same result.
+    progress
+        Called with the evaluations done and the best cost at the end.
+    """
+    problem = Residuals(residuals, bounds, batch)
+    rng = np.random.default_rng(seed)
+    points = np.array([bounds.log_uniform(rng) for _ in range(screen)])
+    costs = problem.costs(points)
+    start = points[int(np.argmin(costs))]
+    screened = (problem.evaluations, float(costs.min()))
+    z, cost, history, status = minimise(problem, start, np.arange(12), iterations=iterations, ftol=ftol)
+    if progress is not None:
+        progress(problem.evaluations, cost)
+    steps = [screened, *history]
+    return SearchResult(
+        np.exp(z),
+        cost,
+        problem.evaluations,
+        np.exp(start),
+        {"evaluations": [n for n, _ in steps], "best": [min(c, screened[1]) for _, c in steps]},
+        {"least_squares_status": float(status)},
+    )

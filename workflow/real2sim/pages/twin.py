@@ -1,0 +1,165 @@
+"""Joint angles and interface cloud of a person with and without the robot, measured and simulated (paper, V-C)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+
+from real2sim.artefacts import read_json
+from real2sim.pages import style
+from real2sim.study.twin.adaptation import JOINT_NAMES
+
+CONDITIONS = {"soft": style.SKY, "prior": style.VERMILION, "stiff": style.PURPLE, "own": style.GREEN}
+_WALKS = {"walk_normal": "no robot", "walk_robot": "with robot"}
+_PHASE = np.linspace(0, 100, 101)
+
+
+def _band(axes: Axes, entry: dict[str, Any], colour: str, label: str, dashed: bool = False) -> None:
+    if not entry.get("cycles"):
+        return
+    mean, sd = np.array(entry["mean_deg"]), np.array(entry["sd_deg"])
+    axes.fill_between(_PHASE, mean - sd, mean + sd, color=colour, alpha=0.15, linewidth=0)
+    axes.plot(_PHASE, mean, color=colour, label=label, linestyle=(0, (4, 2)) if dashed else "-")
+
+
+def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
+    """Conditions at the cap that is compared with the measurement, or at the one nearest to it."""
+    plain = [c for c in record["conditions"] if not c["robot_factors"]]
+    cap = min(sorted({c["cap"] for c in plain}), key=lambda value: abs(value - record["main_cap"]))
+    return [c for c in plain if c["cap"] == cap]
+
+
+def _robot(record: dict[str, Any]) -> str:
+    """How fast the robot goes in the conditions that are drawn."""
+    return f"robot at {_main_conditions(record)[0]['cap']:g} of the walking speed"
+
+
+def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
+    """Draw a cloud's samples and its 95 % ellipse about the origin; returns the ellipse's reach [mm]."""
+    if not cloud.get("trials"):
+        return 0.0
+    major, minor = cloud["ellipse"]["semi_axes_mm"]
+    x, y = np.array(cloud["points_mm"]).T
+    axes.plot(x, y, ".", color=colour, markersize=2.2, alpha=0.5, markeredgewidth=0, zorder=1)
+    axes.add_patch(
+        Ellipse(
+            (0, 0),
+            2 * major,
+            2 * minor,
+            angle=cloud["ellipse"]["angle_deg"],
+            fill=False,
+            edgecolor=colour,
+            linestyle="--" if dashed else "-",
+            linewidth=1.2,
+            label=f"{label}, γ = {cloud['gamma']:.2f}",
+            zorder=2,
+        )
+    )
+    return float(major)
+
+
+def _records(coupled: list[Path]) -> list[dict[str, Any]]:
+    return [read_json(path, ("conditions", "measured", "free", "main_cap", "phantom")) for path in coupled]
+
+
+def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Measured and simulated joint angles over the gait cycle, and what the robot changes (paper, Fig. 6).
+
+    ``coupled`` are a person's coupled.json, one per seed; the curves are the first seed's.
+    """
+    records = _records(coupled)
+    first = records[0]
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(6.4, phantom=any(r["phantom"] for r in records))
+        grid = figure.add_gridspec(4, 2, height_ratios=(1, 1, 1, 0.95))
+        top = None
+        for row, (joint, name) in enumerate(JOINT_NAMES.items()):
+            real = figure.add_subplot(grid[row, 0], sharex=top)
+            simulated = figure.add_subplot(grid[row, 1], sharex=real, sharey=real)
+            top = top or real
+            for kind, colour in (("walk_normal", style.BLACK), ("walk_robot", style.BLUE)):
+                if kind in first["measured"]:
+                    _band(real, first["measured"][kind][joint], colour, _WALKS[kind])
+            _band(simulated, first["free"][joint], style.BLACK, "no robot")
+            for condition in _main_conditions(first):
+                _band(simulated, condition["joints"][joint], CONDITIONS[condition["name"]], condition["name"])
+            for axes in (real, simulated):
+                if not axes.lines:
+                    style.say(axes, "no whole stride")
+                elif row == 0:
+                    # above the curves, where there is room for it
+                    axes.set_ylim(top=axes.get_ylim()[1] + 16)
+                    axes.legend(
+                        ncols=1 if axes is real else 2, columnspacing=0.8, loc="upper center", borderaxespad=0
+                    )
+                if row == len(JOINT_NAMES) - 1:
+                    axes.set_xlabel("gait cycle (%)")
+            style.panel_letter(real, "ace"[row], f"{name}, measured")
+            style.panel_letter(simulated, "bdf"[row], f"{name}, simulated")
+            real.set_ylabel("angle (deg)")
+        _changes(figure.add_subplot(grid[3, :]), records)
+        style.save(figure, out)
+
+
+def interface_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Where the interface midpoint goes relative to the pelvis, from above, with 95 % ellipses (paper, Fig. 5).
+
+    ``coupled`` are a person's coupled.json, one per seed; the clouds are the first seed's.
+    """
+    records = _records(coupled)
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(3.6, phantom=any(r["phantom"] for r in records))
+        _clouds(figure.add_subplot(), records)
+        style.save(figure, out)
+
+
+def _clouds(axes: Axes, records: list[dict[str, Any]]) -> None:
+    record = records[0]
+    reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", dashed=True)]
+    for condition in _main_conditions(record):
+        reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[condition["name"]], condition["name"]))
+    limit = 1.15 * max([*reach, 1.0])
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    axes.set_xlabel("forward (mm)")
+    axes.set_ylabel("left (mm)")
+    axes.legend(
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=2,
+        title=f"95 % of the interface midpoint\n{_robot(record)}, first of {len(records)} seeds",
+    )
+
+
+def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
+    """Change of the range of motion by the robot, one point per seed."""
+    names = [c["name"] for c in _main_conditions(records[0])]
+    for row, joint in enumerate(JOINT_NAMES):
+        for k, name in enumerate(names):
+            values = []
+            for record in records:
+                entry = next(c for c in _main_conditions(record) if c["name"] == name)["joints"][joint]
+                if entry.get("cycles") and record["free"][joint].get("cycles"):
+                    values.append(entry["rom_deg"][0] - record["free"][joint]["rom_deg"][0])
+            place = row + 0.2 * (k - (len(names) - 1) / 2)
+            axes.plot(values, [place] * len(values), "o", color=CONDITIONS[name], markersize=2.5)
+        measured = records[0]["measured"]
+        if all(
+            kind in measured and measured[kind][joint].get("cycles") for kind in ("walk_normal", "walk_robot")
+        ):
+            change = (
+                measured["walk_robot"][joint]["rom_deg"][0] - measured["walk_normal"][joint]["rom_deg"][0]
+            )
+            axes.plot([change, change], [row - 0.4, row + 0.4], color=style.BLUE, linewidth=1.2)
+    axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
+    axes.set_yticks(range(len(JOINT_NAMES)), list(JOINT_NAMES.values()))
+    axes.invert_yaxis()
+    axes.set_xlabel(
+        "change of range of motion by the robot (deg)\n"
+        "point: a seed (curves: the first), line: measured\n" + _robot(records[0])
+    )
+    style.panel_letter(axes, "g")

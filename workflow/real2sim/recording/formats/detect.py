@@ -1,0 +1,133 @@
+"""One way to read a file: its format is told by its content, and its extension only compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from real2sim.errors import InputError
+from real2sim.recording.formats import c3d, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
+from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
+
+# By format: what it is called, its extensions, and what reads it.
+FORMATS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "tsv": ("a QTM TSV export", (".tsv", ".txt")),
+    "c3d": ("a C3D", (".c3d",)),
+    "mat": ("a QTM MAT export", (".mat",)),
+    "storage": ("an OpenSim .mot or .sto", (".mot", ".sto")),
+    "trc": ("a .trc", (".trc",)),
+    "mcap": ("an MCAP log", (".mcap",)),
+}
+_HEAD = 1 << 16
+_QTM_KEYS = (
+    b"NO_OF_FRAMES",
+    b"NO_OF_SAMPLES",
+    b"NO_OF_MARKERS",
+    b"DATA_INCLUDED",
+    b"MARKER_NAMES",
+    b"FREQUENCY\t",
+)
+
+
+def detect(path: Path, expected: str = "") -> str:
+    """Name of a file's format, a key of `FORMATS`. Raises InputError where its content is none of them."""
+    path = Path(path)
+    expected = expected or ", ".join(name for name, _ in FORMATS.values())
+    remedy = "export the file again in one of these formats"
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
+    except OSError as error:
+        raise InputError(path, "", f"{error.strerror or error}", expected, remedy, "unreadable") from error
+    if not head.strip():
+        raise InputError(path, "", "an empty file", expected, remedy, "empty")
+    kind = _by_content(head)
+    if kind is None:
+        found = (
+            "binary data of an unknown kind" if b"\0" in head else f"a file that starts with {head[:40]!r}"
+        )
+        raise InputError(path, "", found, expected, remedy, "unknown_format")
+    return kind
+
+
+def _by_content(head: bytes) -> str | None:
+    if mcap_file.is_mcap(head):
+        return "mcap"
+    if qualisys_mat.is_mat(head):
+        return "mat"
+    if c3d.is_c3d(head):
+        return "c3d"
+    if b"\0" in head:
+        return None
+    text = head.removeprefix(b"\xef\xbb\xbf")
+    lines = text.splitlines()
+    if text.startswith(b"PathFileType"):
+        return "trc"
+    if any(line.startswith(_QTM_KEYS) for line in lines[:50]):
+        return "tsv"
+    lowered = [line.strip().lower() for line in lines[:1000]]
+    if b"endheader" in lowered or any(line.startswith(b"time") for line in lowered):
+        return "storage"
+    return None
+
+
+def _detected(path: Path, wanted: tuple[str, ...], what: str, findings: list[Finding]) -> str:
+    """Format of a file that must be one of some, with a finding where its extension says another."""
+    expected = f"{what} ({', '.join(FORMATS[key][0] for key in wanted)})"
+    kind = detect(path, expected)
+    name, suffixes = FORMATS[kind]
+    if kind not in wanted:
+        remedy = "export the file in one of these formats, or name it as what it is"
+        raise InputError(path, "", name, expected, remedy, "wrong_kind")
+    if path.suffix.lower() not in suffixes:
+        message = f"{path.suffix or 'no extension'}, but the content is {name}"
+        findings.append(Finding("extension", "warning", path.name, "", message, "read by its content"))
+    return kind
+
+
+def read_markers(path: Path) -> MarkerRecording:
+    """Read the markers of a QTM export: TSV (3D), C3D or MAT. Raises InputError where it is none of them."""
+    path = Path(path)
+    findings: list[Finding] = []
+    kind = _detected(path, ("tsv", "c3d", "mat"), "markers", findings)
+    readers = {"tsv": qualisys.read_markers, "c3d": c3d.read_c3d, "mat": qualisys_mat.read_mat}
+    recording = readers[kind](path)
+    recording.findings[:0] = findings
+    return recording
+
+
+def read_markerless(path: Path) -> CoordinateRecording | MarkerRecording:
+    """Read a markerless export: coordinates (.mot, .sto) or landmarks (.trc). Raises InputError otherwise."""
+    path = Path(path)
+    findings: list[Finding] = []
+    kind = _detected(path, ("storage", "trc"), "coordinates or landmarks", findings)
+    recording: CoordinateRecording | MarkerRecording
+    recording = opensim.read_coordinates(path) if kind == "storage" else trc.read_landmarks(path)
+    recording.findings[:0] = findings
+    return recording
+
+
+def read_log(path: Path) -> RobotLog:
+    """Read a robot log. Raises InputError where the file is no MCAP or lacks the robot's topics."""
+    path = Path(path)
+    findings: list[Finding] = []
+    _detected(path, ("mcap",), "a robot log", findings)
+    log = robot_log.read_log(path)
+    log.findings[:0] = findings
+    return log
+
+
+def read(path: Path) -> Any:
+    """Read a file as whatever it is: markers, rigid bodies, an OpenSim table, landmarks or a robot log."""
+    kind = detect(path)
+    if kind == "tsv":
+        bodies = qualisys.data_included(path) == "6D"
+        return qualisys.read_bodies(path) if bodies else qualisys.read_markers(path)
+    readers = {
+        "c3d": c3d.read_c3d,
+        "mat": qualisys_mat.read_mat,
+        "storage": opensim.read_storage,
+        "trc": trc.read_landmarks,
+        "mcap": robot_log.read_log,
+    }
+    return readers[kind](path)

@@ -1,0 +1,349 @@
+"""Figures of one trial's raw recordings, before any verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from real2sim import geometry, signals
+from real2sim.recording import alignment
+from real2sim.recording.formats.opensim import PELVIS_COORDINATES
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
+from real2sim.recording.quality import clocks, markers
+from real2sim.recording.subjects import parse_trial
+
+_COARSE_HZ = 50.0  # grid on which rates are compared
+_PAIR_HZ = 10.0  # samples of both systems' pelvis that are kept for the frames
+_EXPLAINED_M = 0.01  # residual of the robot's clock from which another start is tried
+_STRIDES_S = (-1.0, 1.0, -2.0, 2.0)  # a fit finds its way from half a stride
+_FINE_RATES = np.linspace(0.97, 1.03, 25)  # rates beside the declared one that are tried
+
+
+@dataclass
+class RawTrial:
+    """Raw recordings of one trial: markers by our names in the world, the others as they are."""
+
+    name: str
+    recording: MarkerRecording
+    coordinates: CoordinateRecording | None
+    log: RobotLog | None
+
+    @property
+    def kind(self) -> str:
+        """Kind of the trial."""
+        return parse_trial(self.name)[0]
+
+
+@dataclass
+class Rate:
+    """Rate of the markers [Hz]: declared, by the Time column (None without), by the motion (None: no motion)."""
+
+    declared: float
+    by_time: float | None
+    by_motion: float | None = None
+    correlation: float | None = None
+    correlation_declared: float | None = None
+
+
+@dataclass
+class Markerless:
+    """Markerless against Qualisys; ``pairs`` are rotations (k, 3, 3) of the pelvis at the same times."""
+
+    correlation: float
+    time_fit: alignment.TimeFit
+    space: alignment.SpaceFit
+    clock: clocks.ClockFit | None
+    pairs: tuple[np.ndarray, np.ndarray]
+
+
+@dataclass
+class Robot:
+    """Robot against Qualisys: offset by /sync [s] or None, correlation of the motion, clock, heading [rad]."""
+
+    sync_s: float | None
+    correlation: float
+    clock: clocks.ClockFit | None
+    heading_rad: float
+    floor_sd_rad: float
+
+
+@dataclass
+class Measured:
+    """Everything the gates of one trial judge."""
+
+    name: str
+    kind: str
+    frames: int
+    rate: Rate
+    extent_m: float
+    complete: dict[str, float]
+    gaps: list[markers.Gap]
+    swaps: list[markers.Swap]
+    spikes: dict[str, int]
+    departures: np.ndarray  # (n, 7) after swaps and spikes
+    skin: np.ndarray  # (n, 7) what sliding skin explains of them
+    noise_m: dict[str, float]
+    spacing: dict[str, tuple[float, float]] = field(default_factory=dict)  # SD [s], longest gap [s] by system
+    robot: Robot | None = None
+    markerless: Markerless | None = None
+
+
+def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict) -> Measured:
+    """All figures of a trial; ``reference`` (7,) are the rigid distances of quiet standing [m]."""
+    recording = trial.recording
+    frames, rate = len(recording.time_s), recording.rate_hz
+    time_s = (recording.first_frame - 1 + np.arange(frames)) / rate
+    used = {name: recording.positions[name] for name in markers.MARKERS if name in recording.positions}
+    swaps = markers.find_swaps(
+        used,
+        reference,
+        violation_m=ingest["swap"]["violation_m"],
+        restored_m=ingest["swap"]["restored_m"],
+    )
+    clean = markers.repaired(used, swaps)
+    found = {name: markers.spikes(values, settings["spikes"]["height_m"]) for name, values in clean.items()}
+    for name, rows in found.items():
+        clean[name][rows] = np.nan
+    cloud = np.concatenate(list(used.values()))
+    seen = cloud[signals.known(cloud)]
+    extent = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+    pelvis = _pelvis_path(time_s, clean, rate, ingest)
+    departures = markers.departures(clean, reference)
+    rotation = np.full((frames, 3, 3), np.nan) if pelvis is None else pelvis.rotation
+    out = Measured(
+        trial.name,
+        trial.kind,
+        frames,
+        Rate(rate, _column_rate(recording)),
+        extent,
+        {name: float(signals.known(values).mean()) for name, values in used.items()},
+        markers.find_gaps(used),
+        swaps,
+        {name: len(rows) for name, rows in found.items()},
+        departures,
+        markers.skin(departures, rotation),
+        {name: markers.noise_sd(values) for name, values in clean.items()},
+    )
+    if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
+        out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
+        out.robot = _robot(trial.log, time_s, clean, ingest)
+    if trial.coordinates is not None and set(PELVIS_COORDINATES) <= set(trial.coordinates.columns):
+        out.spacing["markerless"] = _spacing(trial.coordinates.time_s)
+        out.markerless = _markerless(trial.coordinates, pelvis, ingest)
+    _rate_by_motion(out, trial, pelvis, clean, time_s, settings["rate"])
+    return out
+
+
+def _column_rate(recording: MarkerRecording) -> float | None:
+    step = np.diff(recording.time_s)
+    step = step[np.isfinite(step) & (step > 0)]
+    return float(len(step) / step.sum()) if len(step) else None
+
+
+def _spacing(time_s: np.ndarray) -> tuple[float, float]:
+    step = np.diff(time_s)
+    step = step[step > 0]
+    if not len(step):
+        return 0.0, 0.0
+    return float(np.std(step - np.median(step))), float(step.max())
+
+
+def _pelvis_path(
+    time_s: np.ndarray, clean: dict[str, np.ndarray], rate: float, ingest: dict
+) -> alignment.PelvisPath | None:
+    if not set(geometry.PELVIS_MARKERS) <= set(clean):
+        return None
+    smooth = []
+    for name in geometry.PELVIS_MARKERS:
+        filled, _ = signals.fill_gaps(clean[name], rate, ingest["max_gap_s"])
+        smooth.append(signals.lowpass(filled, rate, ingest["cutoff_hz"], ingest["filter_order"]))
+    rotation, position = geometry.pelvis_frame(*smooth)
+    if (np.isfinite(rotation).all(axis=(1, 2)) & signals.known(position)).sum() < 100:
+        return None
+    return alignment.PelvisPath(time_s, rotation, position)
+
+
+# -------------------- robot
+
+
+def _line_angles(clean: dict[str, np.ndarray]) -> np.ndarray:
+    """Heading and elevation (n, 2) [rad] of the line between the interface markers."""
+    across = clean["IF_L"] - clean["IF_R"]
+    heading = np.arctan2(-across[:, 0], across[:, 1])
+    good = np.isfinite(heading)
+    heading[good] = np.unwrap(heading[good])
+    return np.column_stack([heading, np.arctan2(across[:, 2], np.hypot(across[:, 0], across[:, 1]))])
+
+
+def _log_angles(log: RobotLog, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and yaw, roll (n, 2) [rad] of the log on a uniform grid."""
+    start = max(log.base_time_s[0], log.joint_time_s[0])
+    end = min(log.base_time_s[-1], log.joint_time_s[-1])
+    grid = np.arange(start, end, 1 / rate_hz)
+    yaw = np.interp(grid, log.base_time_s, np.unwrap(log.base["yaw"]))
+    return grid, np.column_stack([yaw, np.interp(grid, log.joint_time_s, log.joints["arm_roll"][:, 0])])
+
+
+def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: dict) -> Robot:
+    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    angles = _line_angles(clean)
+    grid, theirs = _log_angles(log, rate)
+    sync = -float(log.sync_s[0]) if log.sync_s is not None and len(log.sync_s) else None
+    offset = sync if sync is not None else float(time_s[0])
+    correlation = 0.0
+    if len(grid) > 100 and signals.known(angles).sum() > 100:
+        filled = _closed(angles)
+        coarse = alignment.align_signals(
+            time_s, signals.derivative(filled, rate), grid, signals.derivative(theirs, rate)
+        )
+        correlation = coarse.correlation
+        if correlation >= ingest["robot_log"]["min_correlation"] and coarse.offset_sd_s < 0.1:
+            offset = coarse.offset_s
+    fit = _robot_clock(time_s, clean, log, [offset, *([sync] if sync is not None else [])])
+    offset = fit.offset_s if fit is not None else offset
+    phasor = np.exp(1j * (angles[:, 0] - np.interp(time_s - offset, grid, theirs[:, 0])))
+    heading = float(np.angle(np.nanmean(phasor))) if np.isfinite(phasor).any() else float("nan")
+    floor = float(np.max(fit.ground_sd[:2])) if fit is not None else float("inf")
+    return Robot(sync, correlation, fit, heading, floor)
+
+
+def _robot_clock(
+    time_s: np.ndarray, clean: dict[str, np.ndarray], log: RobotLog, starts: list[float]
+) -> clocks.ClockFit | None:
+    """Clock from the first start that explains the markers, or the best of all.
+
+    Gait repeats itself: the coarse offset may be one stride off, where the fit finds a minimum of its own.
+    """
+    best: clocks.ClockFit | None = None
+    around = [starts[0] + shift for shift in _STRIDES_S]
+    for start in [*starts, *around]:
+        fit = clocks.robot_clock(time_s, clean["IF_L"], clean["IF_R"], log, offset_s=start)
+        if fit is None or not np.isfinite([fit.offset_s, fit.drift, fit.residual_m]).all():
+            continue
+        if best is None or fit.residual_m < best.residual_m:
+            best = fit
+        if best.residual_m < _EXPLAINED_M:
+            break
+    return best
+
+
+# -------------------- markerless
+
+
+def _markerless(
+    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: dict
+) -> Markerless | None:
+    if pelvis is None or len(coordinates.time_s) < 10:
+        return None
+    r_other, p_other = alignment.pelvis_of_coordinates(coordinates.columns)
+    if not (np.isfinite(p_other).all() and np.isfinite(r_other).all()):
+        return None
+    other = alignment.PelvisPath(coordinates.time_s, r_other, p_other)
+    bridged = _bridged(pelvis)
+    offset, correlation = alignment.coarse_offset(bridged, other)
+    moving = correlation >= ingest["markerless"]["min_correlation"]
+    if not moving:
+        offset = float(pelvis.time_s[0] - other.time_s[0])
+    time_fit, space = alignment.align_pelvis(
+        pelvis, other, offset_s=offset, correlation=correlation, with_time=moving, with_drift=False
+    )
+    clock = None
+    if moving:
+        clock = clocks.markerless_clock(pelvis, other, space, offset_s=time_fit.offset_s)
+    at = clock.offset_s if clock is not None else time_fit.offset_s
+    return Markerless(correlation, time_fit, space, clock, _pairs(pelvis, other, at))
+
+
+def _closed(values: np.ndarray) -> np.ndarray:
+    """Values (n, k) with every hole closed by a straight line; unchanged where nothing is known."""
+    good, rows = signals.known(values), np.arange(len(values))
+    if not good.any():
+        return values
+    return np.column_stack([np.interp(rows, rows[good], column[good]) for column in values.T])
+
+
+def _bridged(path: alignment.PelvisPath) -> alignment.PelvisPath:
+    """The path with every hole closed by straight lines, for the coarse search only."""
+    good = np.isfinite(path.rotation).all(axis=(1, 2)) & signals.known(path.position)
+    flat = np.hstack([path.rotation.reshape(-1, 9), path.position])
+    flat[~good] = np.nan
+    closed = _closed(flat)
+    return alignment.PelvisPath(path.time_s, closed[:, :9].reshape(-1, 3, 3), closed[:, 9:])
+
+
+def _pairs(
+    ours: alignment.PelvisPath, other: alignment.PelvisPath, offset_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    good = np.isfinite(ours.rotation).all(axis=(1, 2))
+    rate = (len(ours.time_s) - 1) / (ours.time_s[-1] - ours.time_s[0])
+    rows = np.flatnonzero(good)[:: max(1, round(rate / _PAIR_HZ))]
+    t = ours.time_s[rows] - offset_s
+    inside = (t >= other.time_s[0]) & (t <= other.time_s[-1])
+    if not inside.any():
+        return np.zeros((0, 3, 3)), np.zeros((0, 3, 3))
+    theirs = CubicSpline(other.time_s, other.rotation.reshape(-1, 9))(t[inside])
+    return ours.rotation[rows][inside], Rotation.from_matrix(theirs.reshape(-1, 3, 3)).as_matrix()
+
+
+# -------------------- rate
+
+
+def _rate_by_motion(
+    out: Measured,
+    trial: RawTrial,
+    pelvis: alignment.PelvisPath | None,
+    clean: dict[str, np.ndarray],
+    time_s: np.ndarray,
+    limits: dict,
+) -> None:
+    """The rate at which the markers' motion agrees best with that of the other systems."""
+    declared = out.rate.declared
+    if out.kind == "neutral":
+        return  # nothing moves
+    if out.robot is not None and trial.log is not None:
+        ours = signals.derivative(_closed(_line_angles(clean)), declared)
+        grid, angles = _log_angles(trial.log, _COARSE_HZ)
+        theirs = signals.derivative(angles, _COARSE_HZ)
+    elif out.markerless is not None and trial.coordinates is not None and pelvis is not None:
+        bridged = _bridged(pelvis)
+        ours = _speeds(bridged.rotation, bridged.position, declared)
+        r, p = alignment.pelvis_of_coordinates(trial.coordinates.columns)
+        own = trial.coordinates.time_s
+        grid = np.arange(own[0], own[-1], 1 / _COARSE_HZ)
+        flat = np.hstack([r.reshape(-1, 9), p])
+        table = np.column_stack([np.interp(grid, own, column) for column in flat.T])
+        theirs = _speeds(table[:, :9].reshape(-1, 3, 3), table[:, 9:], _COARSE_HZ)
+    else:
+        return
+    good = signals.known(ours)
+    if good.sum() < 100 or len(grid) < 50:
+        return
+    ours = signals.lowpass(ours[good], declared, 5.0, 4)
+
+    def agreement(rate: float) -> float:
+        duration = (len(ours) - 1) / rate
+        t = np.arange(0, duration, 1 / _COARSE_HZ)
+        if len(t) < 50:
+            return -1.0
+        own = np.arange(len(ours)) / rate
+        resampled = np.column_stack([np.interp(t, own, column) for column in ours.T])
+        return alignment.correlate(resampled, theirs)[1]
+
+    at_declared = agreement(declared)
+    candidates = [*(float(r) for r in limits["common_hz"]), *(declared * _FINE_RATES)]
+    scores = [agreement(rate) for rate in candidates]
+    best = int(np.argmax(scores))
+    out.rate.correlation_declared, out.rate.correlation = at_declared, float(scores[best])
+    if max(at_declared, scores[best]) < limits["min_correlation"]:
+        return
+    better = scores[best] > at_declared + limits["better_by"]
+    out.rate.by_motion = candidates[best] if better else declared
+
+
+def _speeds(r: np.ndarray, p: np.ndarray, rate: float) -> np.ndarray:
+    linear = np.linalg.norm(signals.derivative(signals.lowpass(p, rate, 5.0, 4), rate), axis=1)
+    smooth = signals.lowpass(r.reshape(-1, 9), rate, 5.0, 4).reshape(-1, 3, 3)
+    return np.column_stack([linear, alignment.angular_speed(smooth, rate)])

@@ -1,0 +1,266 @@
+"""The stages: gates of one person, and the table of the cohort."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim.artefacts import read_json, write_json, write_table
+from real2sim.errors import InputError
+from real2sim.geometry import AXES
+from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
+from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording
+from real2sim.recording.ingest import ingest_trial, lab_to_world
+from real2sim.recording.quality import clocks, markers
+from real2sim.recording.quality.gates import GATES, Session, judge, session_of
+from real2sim.recording.quality.measure import Measured, RawTrial, measure
+from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, worst
+from real2sim.recording.subjects import Subject, TrialFiles, parse_trial, read_subject
+from real2sim.study.tightness import read_pose
+
+COLUMNS = (
+    "subject",
+    "trial",
+    "gate",
+    "verdict",
+    "value",
+    "unit",
+    "interval_low",
+    "interval_high",
+    "warn",
+    "refuse",
+    "key",
+    "message",
+    "remedy",
+    "overridden",
+    "phantom",
+)
+
+
+def raw_trial(name: str, files: TrialFiles, marker_names: Mapping[str, str], settings: dict) -> RawTrial:
+    """Raw recordings of a trial with our marker names in the world; ``settings`` is the slice ``ingest``."""
+    recording = read_markers(files.markers)
+    rotation = lab_to_world(settings["lab_to_world"])
+    named = {marker_names.get(lab, lab): values for lab, values in recording.positions.items()}
+    world = {marker: named[marker] @ rotation.T for marker in markers.MARKERS if marker in named}
+    if not world:
+        found = f"markers {', '.join(named) or 'none'}"
+        remedy = "label them in QTM, or say which of the lab's names they are under markers: in subject.yaml"
+        raise InputError(files.markers, "MARKER_NAMES", found, ", ".join(markers.MARKERS), remedy)
+    markerless = read_markerless(files.markerless)
+    return RawTrial(
+        name,
+        MarkerRecording(recording.time_s, recording.rate_hz, world, recording.first_frame),
+        markerless if isinstance(markerless, CoordinateRecording) else None,
+        read_log(files.log) if files.log is not None else None,
+    )
+
+
+def _unreadable(error: InputError) -> Gate:
+    where = f"{error.path.name}, {error.place}" if error.place else error.path.name
+    message = f"{where}: {error.found}; expected {error.expected}"
+    return Gate("readable", REFUSE, None, "", None, message, error.remedy)
+
+
+def _readable() -> Gate:
+    return Gate("readable", PASS, None, "", None, "all files of the trial can be read and used", "")
+
+
+def _tables(person: Subject, settings: dict) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
+    """Interface coordinates (n, 6) per trial as the fits will see them, and what ingest refuses."""
+    q: dict[str, np.ndarray] = {}
+    refused: dict[str, InputError] = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        neutral = Path(scratch) / "neutral" / "quality.json"
+        for name in sorted(person.trials, key=lambda trial: (trial != "neutral", trial)):
+            files, target = person.trials[name], Path(scratch) / name
+            if name != "neutral" and not neutral.exists():
+                continue
+            try:
+                ingest_trial(
+                    subject=person.id,
+                    trial=name,
+                    tsv=files.markers,
+                    mot=files.markerless,
+                    neutral=None if name == "neutral" else neutral,
+                    log=files.log,
+                    marker_names=person.markers,
+                    settings=settings,
+                    phantom=person.phantom,
+                    out_markers=target / "markers.parquet",
+                    out_pose=target / "pose.parquet",
+                    out_joints=target / "joints.parquet",
+                    out_robot=target / "robot.parquet",
+                    out_quality=target / "quality.json",
+                )
+            except InputError as error:
+                refused[name] = error
+                continue
+            if parse_trial(name)[0] not in ("dynamic", "rotation", "translation"):
+                continue
+            columns, _ = read_pose(target / "pose.parquet")
+            q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
+    return q, refused
+
+
+def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+    names = person.operating_point
+    if not set(names) <= set(q):
+        return None
+    both = np.concatenate([q[name] for name in names])
+    if not np.isfinite(both).any(axis=0).all():
+        return None
+    return np.nanmin(both, axis=0), np.nanmax(both, axis=0)
+
+
+def quality_subject(*, subject: str, folder: Path, settings: dict, raw: list[Path], out: Path) -> None:
+    """Gates of all trials of one person, from the raw files; nothing is fitted.
+
+    Parameters
+    ----------
+    settings
+        Slices ``quality`` and ``ingest`` of the configuration and ``scales`` of the cost, by name.
+    raw
+        The person's files as the workflow saw them.
+    out
+        Folder for gates.json (all figures) and <TRIAL>.json (verdict of one trial: what a fit depends on).
+
+    Raises InputError where the configuration overrides a trial that is not there.
+    """
+    person = read_subject(folder)
+    limits, ingest = settings["quality"], settings["ingest"]
+    overrides = _overrides(person, limits["override"])
+    q, refused = _tables(person, ingest)
+    measured, unreadable = _measure_all(person, limits, ingest)
+    session = session_of(list(measured.values()))
+    bounds = _joint_limits(person, q)
+    trials: dict[str, dict[str, Any]] = {}
+    for name in sorted(person.trials, key=_order):
+        gates = []
+        error = unreadable.get(name, refused.get(name))
+        gates.append(_unreadable(error) if error is not None else _readable())
+        if name in measured:
+            m = measured[name]
+            gates += judge(
+                m, session, limits, ingest, scales=settings["scales"], q=q.get(name), limits=bounds
+            )
+        verdict = worst(gate.verdict for gate in gates)
+        trials[name] = {
+            "verdict": verdict,
+            "override": overrides.get(name),
+            "gates": [{"gate": g.gate, "trial": name} | asdict(g) for g in gates],
+        }
+        about = {"schema": 1, "subject": subject, "trial": name, "phantom": person.phantom}
+        # only what a fit depends on: the figures of gates.json move when another trial is added
+        stopped = [
+            {"gate": g.gate, "message": g.message, "remedy": g.remedy} for g in gates if g.verdict == REFUSE
+        ]
+        warned = [g.gate for g in gates if g.verdict == WARN]
+        write_json(
+            out / f"{name}.json",
+            about
+            | {"verdict": verdict, "refused": stopped, "warned": warned, "override": overrides.get(name)},
+        )
+        print(
+            f"{subject} {name}: {verdict}" + "".join(f"\n  {s['gate']}: {s['message']}" for s in stopped),
+            flush=True,
+        )
+    write_json(
+        out / "gates.json",
+        {
+            "schema": 1,
+            "subject": subject,
+            "phantom": person.phantom,
+            "order": list(GATES),
+            "session": _session(session),
+            "trials": trials,
+            "excluded": person.exclude,
+            "settings": settings,
+        },
+    )
+
+
+def _order(name: str) -> tuple[int, str]:
+    kinds = ("neutral", "dynamic", "rotation", "translation", "walk_normal", "walk_robot")
+    return kinds.index(parse_trial(name)[0]), name
+
+
+def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
+    out = {}
+    for key, reason in override.items():
+        name, _, trial = key.partition("/")
+        if name != person.id:
+            continue
+        if trial not in person.trials:
+            expected = f"a trial of {name}: {', '.join(person.trials)}"
+            raise InputError(
+                "config/config.yaml", "key quality.override", key, expected, "Correct the name, or remove it."
+            )
+        out[trial] = reason
+    return out
+
+
+def _measure_all(
+    person: Subject, limits: dict, ingest: dict
+) -> tuple[dict[str, Measured], dict[str, InputError]]:
+    trials: dict[str, RawTrial] = {}
+    unreadable: dict[str, InputError] = {}
+    for name, files in person.trials.items():
+        try:
+            trials[name] = raw_trial(name, files, person.markers, ingest)
+        except InputError as error:
+            unreadable[name] = error
+    standing = trials.get("neutral") or next(iter(trials.values()), None)
+    if standing is None:
+        return {}, unreadable
+    reference = markers.reference_distances(standing.recording.positions)
+    return {name: measure(trial, reference, limits, ingest) for name, trial in trials.items()}, unreadable
+
+
+def _session(session: Session) -> dict[str, Any]:
+    def drift(pooled: clocks.Pooled | None) -> dict[str, Any] | None:
+        if pooled is None:
+            return None
+        half = clocks.NORMAL_95 * pooled.sd
+        span = [1e6 * (pooled.value - half), 1e6 * (pooled.value + half)]
+        return {"ppm": 1e6 * pooled.value, "ci95_ppm": span, "pooled_over_trials": pooled.trials}
+
+    return {
+        "robot_drift": drift(session.robot_drift),
+        "markerless_drift": drift(session.markerless_drift),
+        "noise_sd_m": {name: sd for name, sd in session.noise_m.items() if np.isfinite(sd)},
+    }
+
+
+def quality_table(*, gates: list[Path], settings: dict, out: Path) -> None:
+    """One row per person, trial and gate; ``settings`` is the slice ``quality``.
+
+    Raises InputError where the configuration overrides a person that is not there.
+    """
+    people = [read_json(path, ("subject", "trials", "phantom")) for path in gates]
+    known = {content["subject"] for content in people}
+    for key in settings["override"]:
+        if key.partition("/")[0] not in known:
+            expected = f"<SUBJECT>/<TRIAL> of one of {', '.join(sorted(known))}"
+            raise InputError(
+                "config/config.yaml", "key quality.override", key, expected, "Correct the name, or remove it."
+            )
+    rows = []
+    for content in people:
+        for trial, about in content["trials"].items():
+            for gate in about["gates"]:
+                low, high = gate["interval"] or (None, None)
+                warn, refuse = gate["threshold"] or (None, None)
+                overridden = gate["verdict"] == REFUSE and about["override"] is not None
+                rows.append(
+                    gate
+                    | {"subject": content["subject"], "trial": trial, "phantom": content["phantom"]}
+                    | {"interval_low": low, "interval_high": high, "warn": warn, "refuse": refuse}
+                    | {"overridden": overridden}
+                )
+    write_table(out, COLUMNS, rows)

@@ -1,0 +1,84 @@
+"""What markers of one body say of each other: whether a marker has slid as far as an effect would have it slide.
+
+Whatever the body does, four markers on it keep their places against each other but for their noise, and for skin that
+moves. An effect that moves one of them is held to what these six numbers show. They speak against it and not for it: a
+marker that slides a little is no reason for a gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from real2sim.effects.chains import slides
+from real2sim.geometry import pelvis_frame
+
+# Spans whose means are taken as independent of each other, and how many a trend needs [s]
+SPAN_S, FEWEST_SPANS = 1.0, 6
+# No span is known better than this [m]
+SMALLEST_SD_M = 2e-5
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Slow ways of the pelvis' markers against each other in a trial of n samples.
+
+    ``spans`` (k, n) takes the mean over each span where all markers are seen; ``against`` (12, 6) takes displacements
+    of the four markers in the pelvis to what no motion of a rigid body makes; ``trends`` (2, k) fits what a marker does
+    that slides steadily or ever slower, beside a constant, so that their noise is one; ``seen`` (12,) are the trends
+    of the trial and ``weights`` (6,) [1/m] bring a prediction to their units.
+    """
+
+    spans: np.ndarray
+    against: np.ndarray
+    trends: np.ndarray
+    weights: np.ndarray
+    seen: np.ndarray
+
+    def departures(self, ways: np.ndarray) -> np.ndarray:
+        """Residuals of displacements (n, 4, 3) [m, pelvis] that are said to have been, in units of their noise."""
+        means = self.spans @ ways.reshape(len(ways), 12)
+        return np.asarray((self.trends @ means @ self.against * self.weights).ravel() - self.seen)
+
+    def against_it(self, ways: np.ndarray) -> float:
+        """What displacements (n, 4, 3) [m, pelvis] cost that the markers do not show; nothing where they do."""
+        off = self.departures(ways)
+        return max(float(off @ off - self.seen @ self.seen), 0.0)
+
+
+def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> Skin | None:
+    """What pelvis markers (n, 4, 3) [m, world] say, given where they are on the pelvis, ``shape`` (4, 3) [m].
+
+    None where too little of the trial shows all four.
+    """
+    seen = np.isfinite(markers).all(axis=(1, 2))
+    span = np.floor((time_s - time_s[0]) / SPAN_S).astype(int)
+    spans = np.array([(span == i) & seen for i in range(span[-1] + 1)], dtype=float)
+    spans = spans[spans.sum(axis=1) >= 0.5 * np.bincount(span)]
+    if len(spans) < FEWEST_SPANS:
+        return None
+    spans /= spans.sum(axis=1, keepdims=True)
+    rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
+    off = np.einsum("nji,nkj->nki", rotation, markers - position[:, None]) - shape
+    off[~seen] = 0.0
+    against = _against_rigid(shape)
+    means = spans @ off.reshape(len(off), 12) @ against
+    laws = spans @ np.column_stack([np.ones(len(time_s)), *slides(time_s)])
+    normal = np.linalg.inv(laws.T @ laws)
+    fit = normal @ laws.T
+    left = means - laws @ (fit @ means)
+    variance = np.sum(left**2, axis=0) / (len(spans) - laws.shape[1])
+    # one number's scatter over a few spans may be small by chance
+    sd = np.sqrt(np.maximum(np.maximum(variance, variance.mean()), SMALLEST_SD_M**2))
+    whiten = np.linalg.inv(np.linalg.cholesky(normal[1:, 1:]))
+    slow = whiten @ fit[1:]
+    return Skin(spans, against, slow, 1 / sd, (slow @ means / sd).ravel())
+
+
+def _against_rigid(shape: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (12, 6) of what displaces four markers at ``shape`` (4, 3) and is no motion of a rigid body."""
+    turns = np.stack([np.cross(axis, shape).ravel() for axis in np.eye(3)], axis=1)
+    rigid = np.hstack([np.tile(np.eye(3), (4, 1)), turns])
+    basis, _ = np.linalg.qr(rigid, mode="complete")
+    return np.asarray(basis[:, 6:])

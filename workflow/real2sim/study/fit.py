@@ -1,0 +1,211 @@
+"""The identification of one trial, all restarts side by side, from tables to a cached file per restart."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from real2sim.artefacts import write_json
+from real2sim.errors import InputError
+from real2sim.inference import cmaes, least_squares
+from real2sim.inference.parameters import Bounds, as_dict
+from real2sim.inference.result import SearchResult
+from real2sim.provenance import fingerprint, provenance
+from real2sim.recording.quality.verdict import require
+from real2sim.recording.trial import TrialModel, trial_model, with_step
+from real2sim.system.replay import replay_check
+
+_PACKAGES = ["mujoco", "cma", "numpy", "scipy"]
+# A point and its 12 neighbours: one Jacobian by finite differences
+BATCH = 13
+# Replays in memory at once; more restarts take turns
+LARGEST_BATCH = 66
+
+
+def restart_seed(seed: int, subject: str, trial: str, restart: int) -> int:
+    """Seed of one restart: a function of names and the configured seed alone."""
+    digest = hashlib.sha256(f"{seed}/{subject}/{trial}/{restart}".encode()).digest()
+    return int.from_bytes(digest[:4], "little")
+
+
+class _Progress:
+    """A line to stderr every few seconds: evaluations, cost and time left."""
+
+    def __init__(self, label: str, total: int, interval_s: float = 5.0):
+        self._label, self._total, self._interval = label, total, interval_s
+        self._start = self._last = time.monotonic()
+
+    def __call__(self, done: int, best: float) -> None:
+        now = time.monotonic()
+        if now - self._last < self._interval and done < self._total:
+            return
+        self._last = now
+        left = (now - self._start) * max(self._total - done, 0) / done
+        print(
+            f"{self._label}: {done}/{self._total} evaluations, J {best:.4g}, {left:.0f} s left",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _search(
+    model: TrialModel, bounds: Bounds, ident: dict, seeds: list[int], progress: Callable[[int, float], None]
+) -> list[SearchResult]:
+    """The searches that the configuration asks for, one per seed."""
+    if ident["method"] == "cma":
+        return cmaes.search(
+            model.costs,
+            bounds,
+            population=ident["population"],
+            sigma0=ident["sigma0"],
+            evaluations=ident["evaluations"],
+            tolfun=ident["tolfun"],
+            diagonal_iterations=ident["diagonal_iterations"],
+            seeds=seeds,
+            progress=progress,
+        )
+    results: list[SearchResult] = []
+    for seed in seeds:
+        before = sum(result.evaluations for result in results)
+
+        def counted(done: int, best: float, before: int = before) -> None:
+            progress(before + done, best)
+
+        results.append(
+            least_squares.search(
+                lambda parameters: model.cost.residuals(model.replay.run(parameters)),
+                bounds,
+                batch=BATCH,
+                seed=seed,
+                progress=counted,
+                **ident["least_squares"],
+            )
+        )
+    return results
+
+
+def fit_trial(
+    *,
+    subject: str,
+    trial: str,
+    restarts: list[int],
+    pose: Path,
+    markers: Path,
+    limits: Path,
+    step: Path,
+    robot: Path,
+    settings: dict,
+    out: list[Path],
+    gates: list[Path] | None = None,
+    threads: int = 1,
+) -> None:
+    """Identify the 12 interface parameters of one trial from log-uniform starts (paper, section III-B).
+
+    The generations of all restarts are simulated in one batch.
+
+    Parameters
+    ----------
+    restarts
+        Numbers of the restarts; a restart's result does not depend on which others run beside it.
+    pose, markers, limits, step, robot
+        Canonical tables of the trial, joint limits and step study of the person, MJCF of the robot twin.
+    settings
+        Slices ``identification``, ``plant`` and ``robot`` of the configuration.
+    gates
+        Verdicts on the trial and on those that the fit rests on (`quality.verdict.require`); None where the caller
+        vouches for them, as benchmarks do.
+    threads
+        That the replays may use. The files are the same bytes with any number.
+    out
+        JSON of each restart: parameters [SI], cost and its terms, history, replay check, settings and provenance.
+
+    Raises
+    ------
+    InputError
+        Where a gate refuses one of these trials, or the replay misses the bar of the contract (0.1 mm RMS, 0.1 ms).
+    """
+    overridden = {} if gates is None else require(gates, trial)
+    settings = with_step(settings, step)
+    ident = settings["identification"]
+    bounds = Bounds.from_config(ident["bounds"])
+    seeds = [restart_seed(ident["seed"], subject, trial, restart) for restart in restarts]
+    batch = min(LARGEST_BATCH, ident["population"] * len(restarts)) if ident["method"] == "cma" else BATCH
+    model = trial_model(
+        pose=pose,
+        markers=markers,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        nsim=batch,
+        threads=threads,
+    )
+    model.replay.check_bounds(bounds.upper[6:])
+    label = f"{subject} {trial}, {len(restarts)} restarts" if len(restarts) > 1 else f"{subject} {trial}"
+    progress = _Progress(label, ident["evaluations"] * len(restarts))
+    results = _search(model, bounds, ident, seeds, progress)
+    source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
+    records = [
+        {
+            "schema": 1,
+            "subject": subject,
+            "trial": trial,
+            "restart": restart,
+            "method": ident["method"],
+            "phantom": model.trial.phantom,
+            "overridden_gates": overridden,
+        }
+        | _outcome(model, result, bounds, settings, pose)
+        | {"seed": seed, "settings": settings, "provenance": source}
+        for restart, seed, result in zip(restarts, seeds, results, strict=True)
+    ]
+    for path, record in zip(out, records, strict=True):
+        write_json(path, record)
+
+
+def _outcome(model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict, pose: Path) -> dict:
+    """What a search found, with its replay checked."""
+    paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])
+    check = replay_check(model.replay, pelvis[0])
+    bar = settings["plant"]["replay_bar"]
+    if check["rms_m"] > bar["rms_m"] or abs(check["lag_s"]) > bar["lag_s"]:
+        raise InputError(
+            pose,
+            "pelvis path",
+            f"a replay error of {check['rms_m'] * 1e3:.3f} mm RMS and {check['lag_s'] * 1e3:.3f} ms",
+            f"at most {bar['rms_m'] * 1e3} mm and {bar['lag_s'] * 1e3} ms",
+            "Lower plant.timestep_s, and look for jumps in the pelvis markers.",
+        )
+    terms = model.cost(paths)
+    return {
+        "parameters": as_dict(result.parameters),
+        "cost": {
+            "J": float(terms.total[0]),
+            "J_position": float(terms.position[0]),
+            "J_velocity": float(terms.velocity[0]),
+            "rmse_position_m": float(terms.rmse_position[0]),
+            "samples": model.cost.samples,
+        },
+        "at_bound": bounds.at_bound(result.parameters, settings["identification"]["at_bound_ln"]),
+        "start": as_dict(result.start),
+        "evaluations": result.evaluations,
+        "stop": result.stop,
+        "history": result.history,
+        "replay": check,
+    }
+
+
+def best_of(fits: list[dict]) -> dict:
+    """The fit with the lowest cost; ties go to the first restart."""
+    return min(fits, key=lambda fit: (fit["cost"]["J"], fit["restart"]))
+
+
+def parameter_array(fits: list[dict]) -> np.ndarray:
+    """Parameters of fit records as (m, 12), in the order of `PARAMETERS`."""
+    from real2sim.inference.parameters import as_vector
+
+    return np.array([as_vector(fit["parameters"]) for fit in fits])

@@ -1,0 +1,77 @@
+"""Joint limits of the interface: what the person reached in it at the operating point (section III-B)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim.artefacts import write_json
+from real2sim.errors import InputError
+from real2sim.geometry import AXES
+from real2sim.study.tightness import read_pose
+
+RY_NOTE = (
+    "r_y: without a robot log the rotation about y is not observable from two markers on the y axis; its "
+    "limits are then those of the pelvis against the world's vertical, and k_ry, d_ry are informed only "
+    "through the arm's pitch."
+)
+
+
+def _where(
+    trials: dict[str, dict[str, np.ndarray]], axis: str, largest: bool
+) -> tuple[float, dict[str, Any]]:
+    """Extreme value of one axis over the trials, and the trial and time at which it was recorded."""
+    best: tuple[float, dict[str, Any]] | None = None
+    for trial, q in trials.items():
+        values = q[f"q_{axis}"]
+        if not np.isfinite(values).any():
+            continue
+        index = int(np.nanargmax(values) if largest else np.nanargmin(values))
+        value = float(values[index])
+        if best is None or (value > best[0] if largest else value < best[0]):
+            best = value, {"trial": trial, "time_s": float(q["time_s"][index])}
+    if best is None:
+        raise ValueError(axis)
+    return best
+
+
+def joint_limits(*, subject: str, rotation: Path, translation: Path, neutral: Path, out: Path) -> None:
+    """Smallest and largest interface coordinate recorded over the rotation and translation trials at T*.
+
+    q_min, q_max [m, rad] in the order of AXES, with the trial and time of each. ``neutral`` defines q = 0;
+    its own range is kept beside for scale. Raises InputError where the limits do not hold q = 0: rest would
+    lie beyond a stop.
+    """
+    paths = {path.parent.name: path for path in (rotation, translation)}
+    read = {trial: read_pose(path) for trial, path in paths.items()}
+    trials = {trial: columns for trial, (columns, _) in read.items()}
+    rest, about_rest = read_pose(neutral)
+    abouts = [about_rest, *(about for _, about in read.values())]
+    axes: dict[str, dict[str, Any]] = {}
+    for axis in AXES:
+        (low, at_low), (high, at_high) = (_where(trials, axis, largest) for largest in (False, True))
+        if not low <= 0.0 <= high:
+            raise InputError(
+                rotation.parent.parent,
+                f"axis {axis}, trials {' and '.join(paths)}",
+                f"[{low:.4g}, {high:.4g}]",
+                "an interval that holds rest (0)",
+                "Check that the neutral trial was recorded at T* with the same markers.",
+            )
+        noise = [float(np.nanmin(rest[f"q_{axis}"])), float(np.nanmax(rest[f"q_{axis}"]))]
+        axes[axis] = {"min_at": at_low, "max_at": at_high, "neutral_range": noise, "limits": [low, high]}
+    write_json(
+        out,
+        {
+            "subject": subject,
+            "phantom": any(bool(about.get("phantom", False)) for about in abouts),
+            "axes": list(AXES),
+            "units": ["m"] * 3 + ["rad"] * 3,
+            "q_min": [axes[a]["limits"][0] for a in AXES],
+            "q_max": [axes[a]["limits"][1] for a in AXES],
+            "recorded": {a: {k: axes[a][k] for k in ("min_at", "max_at", "neutral_range")} for a in AXES},
+            "notes": [RY_NOTE],
+        },
+    )

@@ -1,0 +1,123 @@
+"""What a coupled walk looks like, simulated or measured: gait cycles, ranges of motion, interface cloud, forces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from real2sim.geometry import AXES
+from real2sim.signals import lowpass
+from real2sim.study.twin.coupled import Recording
+from real2sim.study.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides
+from real2sim.study.twin.human import FEET
+
+JOINT_NAMES = dict(zip(SAGITTAL, ("hip", "knee", "ankle"), strict=True))
+CYCLE = 101  # samples of a normalised cycle, 0-100 %
+DRAWN = 300  # samples of a cloud that a figure shows, at most
+
+
+def cycles_of(recording: Recording, settle_s: float) -> dict[str, np.ndarray]:
+    """Normalised strides (k, 101) [degrees] of each sagittal joint, both legs, from whole strides after settling."""
+    time = recording.time_s
+    out: dict[str, list[np.ndarray]] = {joint: [] for joint in SAGITTAL}
+    for row in range(len(recording.alive)):
+        for side in FEET:
+            ahead, along = recording.heel_ahead[side][row], recording.heel_along[side][row]
+            known = np.isfinite(ahead) & (time >= settle_s)
+            if known.sum() < 100:
+                continue
+            t = time[known]
+            speed = float((along[known][-1] - along[known][0]) / (t[-1] - t[0]))
+            strikes = settled(t, along[known], heel_strikes(t, ahead[known]), speed)
+            for joint in SAGITTAL:
+                curve = np.degrees(recording.joints[f"{joint}_{side}"][row][known])
+                out[joint].append(strides(t, curve, strikes, CYCLE))
+    return {joint: np.concatenate(rows) if rows else np.empty((0, CYCLE)) for joint, rows in out.items()}
+
+
+def measured_cycles(walks: list[Walk]) -> dict[str, np.ndarray]:
+    """The same of measured walks."""
+    return {
+        joint: np.concatenate(
+            [
+                strides(w.time_s, np.degrees(w.joints[f"{joint}_{side}"]), w.strikes[side], CYCLE)
+                for w in walks
+                for side in FEET
+            ]
+        )
+        for joint in SAGITTAL
+    }
+
+
+def describe(cycles: dict[str, np.ndarray], other: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
+    """Mean curve and SD, range of motion and peak per cycle (mean, SD), and r with the mean of ``other``'s cycles."""
+    out: dict[str, Any] = {}
+    for joint, rows in cycles.items():
+        if not len(rows):
+            out[joint] = {"cycles": 0}
+            continue
+        mean, rom, peak = rows.mean(axis=0), np.ptp(rows, axis=1), rows.max(axis=1)
+        entry: dict[str, Any] = {
+            "cycles": len(rows),
+            "mean_deg": [round(float(v), 3) for v in mean],
+            "sd_deg": [round(float(v), 3) for v in rows.std(axis=0)],
+            "rom_deg": [float(rom.mean()), float(rom.std())],
+            "peak_deg": [float(peak.mean()), float(peak.std())],
+        }
+        if other is not None and len(other[joint]):
+            entry["r"] = float(np.corrcoef(mean, other[joint].mean(axis=0))[0, 1])
+        out[joint] = entry
+    return out
+
+
+def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[str, Any]:
+    """Spread of the interface midpoint relative to the pelvis over trials q (m, n, 6) [m, rad]; NaN where unknown.
+
+    Low-passed, each trial about its own mean. ``sigma_mm`` x, y, z (mean over trials, SD), ``gamma`` = sigma_x /
+    sigma_y of the means, the 95 % ellipse of the pooled x-y cloud (paper, section V-C.1), and ``points_mm``, samples of
+    it evenly spaced in time, to draw.
+    """
+    centred, sigmas = [], []
+    for trial in q:
+        smooth = lowpass(trial[:, :3], rate_hz, cutoff_hz, order)
+        known = smooth[np.isfinite(smooth).all(axis=1)]
+        if len(known) > rate_hz:
+            centred.append(known - known.mean(axis=0))
+            sigmas.append(centred[-1].std(axis=0))
+    if not sigmas:
+        return {"trials": 0}
+    sigma = 1e3 * np.array(sigmas)
+    mean = sigma.mean(axis=0)
+    pooled = np.concatenate(centred)[:, :2]
+    values, vectors = np.linalg.eigh(np.cov(pooled.T))
+    axes = 1e3 * np.sqrt(values[::-1] * chi2.ppf(0.95, 2))
+    return {
+        "trials": len(sigmas),
+        "sigma_mm": mean.tolist(),
+        "sigma_sd_mm": sigma.std(axis=0).tolist(),
+        "gamma": float(mean[0] / mean[1]),
+        "ellipse": {
+            "semi_axes_mm": axes.tolist(),
+            "angle_deg": float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))),
+            "area_mm2": float(np.pi * axes[0] * axes[1]),
+        },
+        "points_mm": np.round(1e3 * pooled[:: -(-len(pooled) // DRAWN)], 2).tolist(),
+    }
+
+
+def forces(wrench: np.ndarray) -> dict[str, dict[str, float]]:
+    """Mean, SD and largest magnitude of each component of wrenches (m, n, 6) [N, Nm]; NaN where unknown."""
+    rows = wrench.reshape(-1, 6)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return {}
+    return {
+        axis: {
+            "mean": float(rows[:, i].mean()),
+            "sd": float(rows[:, i].std()),
+            "largest": float(np.abs(rows[:, i]).max()),
+        }
+        for i, axis in enumerate(AXES)
+    }

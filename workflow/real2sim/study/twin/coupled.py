@@ -1,0 +1,474 @@
+"""The person and the robot in one simulation: strap between pelvis and arm, the base follows under a speed cap.
+
+No loop is closed. The plant of the identification (`coupling.plant`) ends in a pelvis at the end of the robot's chain
+behind the six strap joints, whose path is imposed there. Here that pelvis is the person's: legs and trunk hang on it
+and nothing imposes its path. The strap joints are therefore exactly the coordinates q of the contract, with the same
+code, stiffness, damping and limits as in the fits; the person's six root coordinates are those of robot and strap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from real2sim.errors import InputError
+from real2sim.geometry import interface_coordinates, relative_pose
+from real2sim.study.twin.env import RootState, correction_of, gains, observe, rotations, servo_target
+from real2sim.study.twin.gait import SAGITTAL
+from real2sim.study.twin.human import FEET, JOINTS, Body, add_actuators, add_floor, add_human, human_spec
+from real2sim.study.twin.policy import Policy
+from real2sim.system.batches import untimed_batch
+from real2sim.system.plant import (
+    ROBOT_JOINTS,
+    STRAP_JOINTS,
+    JointLimits,
+    RestPose,
+    compiled,
+    load_robot,
+    plant_spec,
+    robot_pose_for,
+)
+
+# Robot axes whose compliance is assumed and shapes the interface cloud, and the joint that has it
+COMPLIANCES = {"lateral": "base_y", "vertical": "arm_lift", "roll": "arm_roll"}
+_TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6
+_CADENCE_FILTER_S = 1.0  # over which the person senses the robot's speed
+
+
+def robot_settings(follow: dict) -> dict:
+    """Impedances of the follow mode in the form of the slice ``robot`` of the configuration."""
+    free = {"stiffness": 0.0, "damping": 0.0}
+
+    def impedance(name: str) -> dict[str, float]:
+        return {key: follow[name][key] for key in ("stiffness", "damping")}
+
+    return {
+        "follow": {"x": free, "y": impedance("lateral"), "yaw": impedance("yaw")},
+        "arm": {"lift": impedance("vertical"), "roll": impedance("roll"), "pitch": impedance("pitch")},
+    }
+
+
+def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarray]:
+    """Interface pose (3, 3), (3,) [m] of the person standing upright: level, heading straight.
+
+    The pelvis frame of the markers is the one in which the interface is level while standing.
+    """
+    pelvis = rest.rotation.T
+    place = np.array([0, 0, who.hip_height]) + who.mid_asis
+    return np.eye(3), place + pelvis @ rest.position
+
+
+def coupled_spec(
+    who: Body,
+    human: dict,
+    robot: Path,
+    follow: dict,
+    plant: dict,
+    rest: RestPose,
+    limits: JointLimits | None,
+) -> tuple[mujoco.MjSpec, np.ndarray]:
+    """Describe robot, strap and person as one tree; also the robot's joints (6,) while the person stands.
+
+    ``human``, ``follow`` are slices of ``twin``, ``plant`` is the slice ``plant`` (its limits are used). Strap
+    stiffness and damping are set per simulation.
+
+    Raises
+    ------
+    InputError
+        Where the robot cannot reach the interface of the standing person.
+    """
+    level, place = standing_interface(who, rest)
+    try:
+        start = robot_pose_for(load_robot(robot).compile(), level, place)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            robot, "", str(error), "a twin that reaches a standing person's pelvis", "Check its geometry."
+        ) from error
+    settings = plant | {"timestep_s": human["timestep_s"]}
+    spec = plant_spec(
+        robot,
+        robot_settings(follow),
+        settings,
+        rest,
+        limits,
+        start,
+        np.eye(3),
+        np.zeros(3),
+        controller="follow",
+    )
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags &= ~(mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for name in ("base", "arm", "interface"):
+        spec.body(name).gravcomp = 1
+    pelvis = spec.body("pelvis")
+    pelvis.mass, pelvis.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
+    quat = np.zeros(4)
+    # upright body in the marker frame, which is inclined by the rest pose
+    mujoco.mju_mat2Quat(quat, rest.rotation.flatten())
+    origin = -rest.position - rest.rotation @ who.mid_asis
+    person = pelvis.add_body(name="human", pos=origin, quat=quat)
+    add_human(person, who, human["contact"], degrees=bool(spec.compiler.degree))
+    add_actuators(spec, who)
+    spec.add_actuator(
+        name="follow",
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target="base_x",
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        gainprm=[follow["speed_gain"]] + [0] * 9,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=[0, 0, -follow["speed_gain"]] + [0] * 7,
+        forcerange=[-follow["force_cap_n"], follow["force_cap_n"]],
+        forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+    )
+    add_floor(spec)
+    add_gait_sensors(spec)
+    return spec, start
+
+
+def add_gait_sensors(spec: mujoco.MjSpec) -> None:
+    """Sensors of the pelvis' pose and velocity and of both heels, in this order: 3, 4, 3, 3, 3, 3 columns."""
+    site = mujoco.mjtObj.mjOBJ_SITE
+    kinds = mujoco.mjtSensor
+    for name, kind in (
+        ("root_position", kinds.mjSENS_FRAMEPOS),
+        ("root_quaternion", kinds.mjSENS_FRAMEQUAT),
+        ("root_velocity", kinds.mjSENS_FRAMELINVEL),
+        ("root_spin", kinds.mjSENS_FRAMEANGVEL),
+    ):
+        spec.add_sensor(name=name, type=kind, objtype=site, objname="human_root")
+    for side in FEET:
+        spec.add_sensor(name=f"heel_{side}", type=kinds.mjSENS_FRAMEPOS, objtype=site, objname=f"heel_{side}")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way of coupling: strap parameters (12,), speed cap as a share of the person's speed, robot's factors.
+
+    ``factors`` multiply the robot's lateral, vertical and roll impedance (`COMPLIANCES`).
+    """
+
+    name: str
+    parameters: np.ndarray
+    cap: float
+    factors: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass
+class Recording:
+    """What some walkers did, at ``rate_hz``: (m, n) unless said otherwise; NaN after a fall.
+
+    ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead``, ``heel_along`` and ``along`` by side or alone [m];
+    ``interface`` (m, n, 6) strap coordinates q; ``wrench`` (m, n, 6) what springs and dampers of the strap exert on the
+    interface along them [N, Nm], without the stops; ``base_speed`` [m/s]; ``alive``, ``survived_s`` (m,).
+    """
+
+    time_s: np.ndarray
+    joints: dict[str, np.ndarray]
+    heel_ahead: dict[str, np.ndarray]
+    heel_along: dict[str, np.ndarray]
+    along: np.ndarray
+    interface: np.ndarray
+    wrench: np.ndarray
+    base_speed: np.ndarray
+    alive: np.ndarray
+    survived_s: np.ndarray
+
+    def of(self, rows: np.ndarray) -> Recording:
+        """The recording of some of the walkers."""
+        return Recording(
+            self.time_s,
+            {k: v[rows] for k, v in self.joints.items()},
+            {k: v[rows] for k, v in self.heel_ahead.items()},
+            {k: v[rows] for k, v in self.heel_along.items()},
+            self.along[rows],
+            self.interface[rows],
+            self.wrench[rows],
+            self.base_speed[rows],
+            self.alive[rows],
+            self.survived_s[rows],
+        )
+
+
+class _Walkers:
+    """Walkers in a batch that are recorded; what they are strapped to is up to the subclasses.
+
+    ``_q`` and ``_v`` are the places of the person's 21 joints in qpos and qvel, ``_strap`` those of the strap or empty,
+    ``_base`` that of the robot's base or None.
+    """
+
+    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict, n: int, threads: int):
+        self.policy, self.model, self.n = policy, model, n
+        self.substeps = int(twin["training"]["substeps"])
+        self.control_s = self.substeps * model.opt.timestep
+        self.batch = untimed_batch(model, n, threads)
+        self.kp = gains(policy.body)
+        self._q = np.array([model.joint(j).qposadr[0] for j in JOINTS])
+        self._v = np.array([model.joint(j).dofadr[0] for j in JOINTS])
+        self._strap = np.empty(0, int)
+        self._base: int | None = None
+
+    def _start(self, phase: np.ndarray) -> None:
+        raise NotImplementedError
+
+    def _robot_command(self, root: RootState, control: np.ndarray) -> None:
+        """Write the robot's part of ``control``: none."""
+
+    def _cadence(self) -> np.ndarray | float:
+        """Factor on the clock."""
+        return 1.0
+
+    def run(
+        self, seconds: float, stride: int = 2, watch: Callable[[np.ndarray], None] | None = None
+    ) -> Recording:
+        """Walk for ``seconds`` from phases spread over the cycle, recording every ``stride`` simulation steps.
+
+        ``watch`` is shown the positions (n, nq) at every control step.
+        """
+        n, policy, batch = self.n, self.policy, self.batch
+        reference = policy.reference
+        phase = self._phases()
+        self._start(phase)
+        batch.bind("qacc_warmstart")[:] = 0
+        batch.warning[:] = 0
+        # bound before the call that fills it: derived fields are zero until then
+        qpos, qvel, sensors = batch.bind("qpos"), batch.bind("qvel"), batch.bind("sensordata")
+        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        first = self.model.sensor("root_position").adr[0]
+        steps, per = round(seconds / self.control_s), self.substeps // stride
+        widths = {
+            "sensor": 19,
+            "joint": len(JOINTS),
+            "q": len(self._strap),
+            "wrench": len(self._strap),
+            "base": 1,
+        }
+        kept = {name: np.full((n, steps * per, w), np.nan, np.float32) for name, w in widths.items()}
+        alive, survived = np.ones(n, bool), np.full(n, float(seconds))
+        height = float(reference.qpos[:, 2].mean())
+        control = np.zeros((n, self.model.nu))
+        for k in range(steps):
+            s = sensors[:, first : first + 19]
+            rotation = rotations(s[:, 3:7])
+            root = RootState(s[:, :3], s[:, 7:10], rotation, np.einsum("mji,mj->mi", rotation, s[:, 10:13]))
+            cadence = self._cadence()
+            obs, mirrored = observe(
+                reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n), cadence
+            )
+            correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
+            control[:, : len(JOINTS)] = servo_target(
+                reference, phase, self.control_s, self.kp, correction, cadence
+            )
+            self._robot_command(root, control)
+            if watch is not None:
+                watch(qpos)
+            fallen = (
+                (root.position[:, 2] < 0.75 * height)
+                | (root.tilt_sq > 0.3)
+                | ~np.isfinite(qpos).all(axis=1)
+                | batch.warning.any(axis=tuple(range(1, batch.warning.ndim)))
+            )
+            record = batch.rollout(
+                self.substeps,
+                np.repeat(control[:, None], self.substeps, axis=1),
+                record=("qpos", "qvel", "sensordata", "qfrc_passive"),
+            )
+            survived[alive & fallen] = k * self.control_s
+            alive &= ~fallen
+            at = slice(k * per, (k + 1) * per)
+            base = (
+                np.zeros((n, self.substeps, 1)) if self._base is None else record["qvel"][..., [self._base]]
+            )
+            for name, values in (
+                ("sensor", record["sensordata"][..., first : first + 19]),
+                ("joint", record["qpos"][..., self._q]),
+                ("q", record["qpos"][..., self._strap]),
+                ("wrench", record["qfrc_passive"][..., self._strap]),
+                ("base", base),
+            ):
+                kept[name][alive, at] = values[alive, stride - 1 :: stride]
+            phase = np.mod(phase + cadence * self.control_s / reference.stride_s, 1.0)
+            batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        return self._recording(kept, alive, survived, stride)
+
+    def _phases(self) -> np.ndarray:
+        return np.arange(self.n) / self.n
+
+    def _recording(self, kept: dict[str, np.ndarray], alive, survived, stride: int) -> Recording:
+        s = kept["sensor"].astype(float)
+        along = s[..., 0]
+        heel = {side: s[..., 13 + 3 * i] for i, side in enumerate(FEET)}
+        return Recording(
+            np.arange(1, s.shape[1] + 1) * stride * self.model.opt.timestep,
+            {
+                name: kept["joint"][..., JOINTS.index(name)].astype(float)
+                for name in (f"{j}_{side}" for j in SAGITTAL for side in FEET)
+            },
+            {side: x - along for side, x in heel.items()},
+            heel,
+            along,
+            kept["q"].astype(float),
+            kept["wrench"].astype(float),
+            kept["base"][..., 0].astype(float),
+            alive,
+            survived,
+        )
+
+
+class FreeWalk(_Walkers):
+    """The same people without a robot, recorded in the same way."""
+
+    def __init__(self, policy: Policy, *, twin: dict, walkers: int, threads: int = 1):
+        spec = human_spec(policy.body, twin["human"])
+        add_gait_sensors(spec)
+        super().__init__(policy, spec.compile(), twin, walkers, threads)
+
+    def _start(self, phase: np.ndarray) -> None:
+        qpos, qvel, _ = self.policy.reference.at(phase)
+        self.batch.bind("qpos")[:], self.batch.bind("qvel")[:] = qpos, qvel
+
+
+class CoupledWalk(_Walkers):
+    """Walkers strapped to robots, ``walkers`` of them per condition, all in one batch.
+
+    Parameters
+    ----------
+    policy
+        Who walks, and how.
+    twin, plant
+        Slices ``twin`` and ``plant`` of the configuration.
+    robot, rest, limits
+        Robot twin, rest pose and joint limits of the interface.
+    conditions
+        What to simulate.
+    walkers, threads
+        Per condition, and threads that step them.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        twin: dict,
+        plant: dict,
+        robot: Path,
+        rest: RestPose,
+        limits: JointLimits | None,
+        conditions: list[Condition],
+        walkers: int,
+        threads: int = 1,
+    ):
+        spec, self.stand = coupled_spec(
+            policy.body, twin["human"], robot, twin["follow"], plant, rest, limits
+        )
+        self._dress(spec, robot)
+        super().__init__(policy, compiled(spec, robot), twin, len(conditions) * walkers, threads)
+        self.conditions, self.walkers, self.rest = conditions, walkers, rest
+        self.follow, self.cadence_exponent = twin["follow"], twin["coupled"]["cadence_exponent"]
+        m = self.model
+        # every joint of robot, strap and person has one coordinate: its place in qpos is that in qvel
+        self._robot = np.array([m.joint(j).dofadr[0] for j in ROBOT_JOINTS])
+        self._strap = np.array([m.joint(j).dofadr[0] for j in STRAP_JOINTS])
+        self._base = int(self._robot[0])
+        self._set_conditions()
+        self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
+
+    def _dress(self, spec: mujoco.MjSpec, robot: Path) -> None:
+        """What only a camera needs: nothing."""
+
+    def _set_conditions(self) -> None:
+        """Strap and robot impedances per simulation."""
+        stiffness, damping, armature = (
+            self.batch.expand(n) for n in ("jnt_stiffness", "dof_damping", "dof_armature")
+        )
+        ids = {j: self.model.joint(j).id for j in (*STRAP_JOINTS, *COMPLIANCES.values())}
+        h = self.model.opt.timestep
+        for k, condition in enumerate(self.conditions):
+            rows = slice(k * self.walkers, (k + 1) * self.walkers)
+            for i, joint in enumerate(STRAP_JOINTS):
+                # MuJoCo's fields of a spring and a damper hold the coefficients of a polynomial: the first is linear
+                _linear(stiffness, ids[joint])[rows] = condition.parameters[i]
+                _linear(damping, self._strap[i])[rows] = condition.parameters[6 + i]
+            for axis, factor in condition.factors:
+                joint = ids[COMPLIANCES[axis]]
+                dof = int(self.model.jnt_dofadr[joint])
+                own = float(self.model.dof_damping[dof])
+                stiffness[rows, joint] *= factor
+                damping[rows, dof] *= factor
+                # the plant centres its steps by an armature of -d h / 2, which follows the damping
+                armature[rows, dof] -= (factor - 1) * own * h / 2
+
+    def _phases(self) -> np.ndarray:
+        return np.tile(np.arange(self.walkers) / self.walkers, len(self.conditions))
+
+    def _start(self, phase: np.ndarray) -> None:
+        """Everyone in the reference's state at their phase, the robot where it is while standing, at its cap."""
+        model, data = self.model, mujoco.MjData(self.model)
+        who, reference = self.policy.body, self.policy.reference
+        qpos, qvel, _ = reference.at(phase)
+        turned = rotations(qpos[:, 3:7])
+        site = model.site("human_root").id
+        jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        level, place = standing_interface(who, self.rest)
+        position, velocity = self.batch.bind("qpos"), self.batch.bind("qvel")
+        for i, rotation in enumerate(turned):
+            shift = np.array([qpos[i, 0], 0, 0])
+            pelvis = rotation @ self.rest.rotation.T, qpos[i, :3] + rotation @ who.mid_asis
+            data.qpos[self._robot] = self.stand
+            data.qpos[self._base] += shift[0]
+            data.qpos[self._strap] = interface_coordinates(
+                *relative_pose(*pelvis, level, place + shift), self.rest.rotation, self.rest.position
+            )
+            data.qpos[self._q] = qpos[i, 7:]
+            data.qvel[:] = 0
+            data.qvel[self._base] = min(self.cap[i], reference.speed)
+            data.qvel[self._v] = qvel[i, 6:]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_jacSite(model, data, jac_p, jac_r, site)
+            jacobian = np.vstack([jac_p, jac_r])
+            twist = np.concatenate([qvel[i, :3], rotation @ qvel[i, 3:6]])
+            moving = jacobian[:, self._robot] @ data.qvel[self._robot]
+            data.qvel[self._strap] = np.linalg.solve(jacobian[:, self._strap], twist - moving)
+            position[i], velocity[i] = data.qpos, data.qvel
+        # the distance that the robot keeps is the one of standing
+        self._distance = np.full(self.n, self.stand[0])
+        self._pelvis_speed = np.full(self.n, reference.speed)
+        self._base_speed = velocity[:, self._base].copy()
+
+    def _robot_command(self, root: RootState, control: np.ndarray) -> None:
+        """Base: the person's speed as the robot sees it, and the distance of standing, under the cap."""
+        follow, base = self.follow, self.batch.bind("qpos")[:, self._base]
+        share = min(1.0, self.control_s / follow["speed_filter_s"])
+        self._pelvis_speed += (root.velocity[:, 0] - self._pelvis_speed) * share
+        gap = root.position[:, 0] + self._distance - base
+        control[:, len(JOINTS)] = np.clip(
+            self._pelvis_speed + follow["distance_gain_per_s"] * gap, 0, self.cap
+        )
+
+    def _cadence(self) -> np.ndarray | float:
+        if not self.cadence_exponent:
+            return 1.0
+        speed = self.batch.bind("qvel")[:, self._base]
+        self._base_speed += (speed - self._base_speed) * self.control_s / _CADENCE_FILTER_S
+        share = self._base_speed / self.policy.reference.speed
+        return np.clip(share, 0.5, 1.2) ** self.cadence_exponent
+
+
+def _linear(field: np.ndarray, index: int) -> np.ndarray:
+    """Linear coefficient of a joint's spring or damper in an expanded field, (nsim,)."""
+    return field[:, index] if field.ndim == 2 else field[:, index, 0]
+
+
+def strap_vectors(conditions: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Parameters (12,) of the isotropic conditions: stiffness and damping by name, the same for all six axes."""
+    return {
+        name: np.array([float(v["stiffness"])] * 6 + [float(v["damping"])] * 6)
+        for name, v in conditions.items()
+    }

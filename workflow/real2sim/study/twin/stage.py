@@ -1,0 +1,422 @@
+"""Examination of a policy, coupled walks and their tables, as the workflow runs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from real2sim.artefacts import number, read_json, read_table, write_json, write_table
+from real2sim.inference.parameters import PARAMETERS, as_dict, as_vector
+from real2sim.provenance import fingerprint, provenance, sha256
+from real2sim.recording.ingest import WRENCH
+from real2sim.recording.trial import load_limits
+from real2sim.study.tightness import read_pose
+from real2sim.study.twin import adaptation
+from real2sim.study.twin.coupled import COMPLIANCES, Condition, CoupledWalk, FreeWalk, strap_vectors
+from real2sim.study.twin.evaluate import (
+    PUSH_DIRECTIONS,
+    PUSH_PHASES,
+    accepted,
+    battery_of,
+    environment,
+    free_walk,
+    plain,
+    pushed_walk,
+    withstands,
+)
+from real2sim.study.twin.gait import SAGITTAL
+from real2sim.study.twin.policy import Policy, load_policy
+from real2sim.study.twin.reference import PACKAGES, read_walks
+from real2sim.system.plant import RestPose
+
+
+def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
+    """What a free walker does in every examination, and which bars that meets; ``settings`` is the slice ``twin``."""
+    e, bars = settings["evaluation"], settings["acceptance"]
+    env = environment(learnt, settings, nsim=e["walkers"], threads=threads, seed=0)
+    walk = free_walk(env, learnt, seconds=e["walk_s"], settle_s=e["settle_s"])
+    crowd = environment(learnt, settings, nsim=PUSH_DIRECTIONS * PUSH_PHASES, threads=threads, seed=1)
+    pushes = [
+        pushed_walk(crowd, learnt, force_n=f, minutes=e["push_minutes"], settle_s=e["settle_s"])
+        for f in e["push_n"]
+    ]
+    battery = battery_of(crowd, learnt, e)
+    met = accepted(walk, bars)
+    met["pushes"] = withstands(pushes[0], bars)
+    met["battery"] = battery["survived_share"] >= bars["battery_share"]
+    return {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
+
+
+def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, threads: int = 1) -> None:
+    """Examine a policy against every bar of a free walker; ``settings`` is the slice ``twin``."""
+    found = examined(load_policy(policy), settings, threads)
+    about = read_json(record, ("phantom", "seed"))
+    write_json(
+        out,
+        {"phantom": about["phantom"], "seed": about["seed"]} | found | {"policy_sha256": sha256(policy)},
+    )
+
+
+def best_fit(fits: list[Path]) -> np.ndarray | None:
+    """A person's own parameters (12,): geometric mean over trials of each trial's best restart; None without fits."""
+    by_trial: dict[str, dict[str, Any]] = {}
+    for path in fits:
+        fit = read_json(path, ("trial", "cost", "parameters"))
+        known = by_trial.get(fit["trial"])
+        if known is None or fit["cost"]["J"] < known["cost"]["J"]:
+            by_trial[fit["trial"]] = fit
+    if not by_trial:
+        return None
+    rows = [as_vector(fit["parameters"]) for fit in by_trial.values()]
+    return np.exp(np.mean(np.log(rows), axis=0))
+
+
+def read_prior(path: Path) -> np.ndarray:
+    """Prior (12,) of priors.csv or of the published table."""
+    rows = {row["parameter"]: number(row["prior"]) for row in read_table(path, ("parameter", "prior"))}
+    return np.array([rows[name] for name in PARAMETERS])
+
+
+def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
+    """The paper's figures by condition: ``angles`` [deg] by joint (Table III) and ``cloud`` [mm] (Table II)."""
+    angles: dict[str, dict[str, dict[str, float]]] = {}
+    columns = ("rom_deg", "rom_sd_deg", "peak_deg")
+    for row in read_table(gait, ("joint", "condition", *columns)):
+        angles.setdefault(row["joint"], {})[row["condition"]] = {name: number(row[name]) for name in columns}
+    spread = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm", "gamma")
+    rows = read_table(interface, ("condition", *spread))
+    return {
+        "angles": angles,
+        "cloud": {row["condition"]: {name: number(row[name]) for name in spread} for row in rows},
+    }
+
+
+def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: dict) -> list[Condition]:
+    """Every coupling that is simulated: four interfaces at each cap, the robot's compliances under the prior."""
+    straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
+    straps = {"soft": straps["soft"], "prior": prior, "stiff": straps["stiff"]}
+    if own is not None:
+        straps["own"] = own
+    out = [Condition(name, v, float(cap)) for name, v in straps.items() for cap in coupled["speed_caps"]]
+    for axis in COMPLIANCES:
+        for factor in coupled["sensitivity"]:
+            out.append(Condition("prior", prior, float(coupled["main_cap"]), ((axis, float(factor)),)))
+    return out
+
+
+def twin_coupled(
+    *,
+    policy: Path,
+    record: Path,
+    priors: Path,
+    fits: list[Path],
+    limits: Path,
+    neutral: Path,
+    normal: list[Path],
+    assisted: list[Path],
+    robot: Path,
+    published_gait: Path,
+    published_interface: Path,
+    settings: dict,
+    out: Path,
+    threads: int = 1,
+) -> None:
+    """Walk with the robot under every interface and compare with the person's own walks.
+
+    Parameters
+    ----------
+    policy, record
+        Of `twin_train`.
+    priors, fits, limits
+        Prior table, the person's fits (none for a person who was not fitted), joint limits.
+    neutral, normal, assisted
+        pose.parquet of the neutral trial, folders of the walk_normal and walk_robot trials.
+    published_gait, published_interface
+        The paper's Tables III and II, to stand beside the figures found here.
+    settings
+        Slices ``twin``, ``plant`` and ``ingest``.
+    """
+    learnt, twin = load_policy(policy), settings["twin"]
+    c = twin["coupled"]
+    own = best_fit(fits)
+    prior = read_prior(priors)
+    conditions = conditions_of(prior, own, c)
+    rest = read_pose(neutral)[1]["rest"]
+    walk = CoupledWalk(
+        learnt,
+        twin=twin,
+        plant=settings["plant"],
+        robot=robot,
+        rest=RestPose(np.array(rest["rotation"]), np.array(rest["position"])),
+        limits=load_limits(limits),
+        conditions=conditions,
+        walkers=c["walkers"],
+        threads=threads,
+    )
+    recording = walk.run(c["walk_s"])
+    free = FreeWalk(learnt, twin=twin, walkers=c["walkers"], threads=threads).run(c["walk_s"])
+    reference_cycles = adaptation.cycles_of(free, c["settle_s"])
+    measured = {
+        "walk_normal": read_walks(normal, learnt.body),
+        "walk_robot": read_walks(assisted, learnt.body),
+    }
+    real = {name: adaptation.measured_cycles(walks) for name, walks in measured.items() if walks}
+    filters = settings["ingest"]
+    about = read_json(record, ("phantom", "seed"))
+    results = []
+    for k, condition in enumerate(conditions):
+        part = recording.of(np.arange(k * c["walkers"], (k + 1) * c["walkers"]))
+        results.append(_condition(part, condition, c["settle_s"], real.get("walk_robot"), filters))
+    write_json(
+        out,
+        plain(
+            {
+                "phantom": about["phantom"],
+                "seed": about["seed"],
+                "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
+                "own_speed_m_per_s": learnt.reference.speed,
+                "follow": twin["follow"],
+                "cadence_exponent": c["cadence_exponent"],
+                "main_cap": c["main_cap"],
+                "free": adaptation.describe(reference_cycles, real.get("walk_normal")),
+                "conditions": results,
+                "measured": {
+                    **{name: adaptation.describe(cycles) for name, cycles in real.items()},
+                    "cloud": _measured_cloud(assisted, filters),
+                    "wrench": _measured_wrench(assisted),
+                },
+                "paper": read_paper(published_gait, published_interface),
+                "policy_sha256": sha256(policy),
+                "provenance": provenance(
+                    [policy, priors, limits, neutral, robot, *fits], PACKAGES, fingerprint(__name__)
+                ),
+            }
+        ),
+    )
+
+
+def _condition(part, condition: Condition, settle_s: float, measured, filters: dict) -> dict[str, Any]:
+    after = part.time_s >= settle_s
+    rate = 1 / float(part.time_s[1] - part.time_s[0])
+    q = part.interface[:, after]
+    lasting = part.alive
+    cycles = adaptation.cycles_of(part.of(np.flatnonzero(lasting)), settle_s)
+    return {
+        "name": condition.name,
+        "cap": condition.cap,
+        "robot_factors": dict(condition.factors),
+        "walkers": len(lasting),
+        "survived": int(lasting.sum()),
+        "survived_s": part.survived_s.tolist(),
+        "speed_m_per_s": float(np.mean(part.base_speed[lasting][:, after])) if lasting.any() else None,
+        "joints": adaptation.describe(cycles, measured),
+        "cloud": adaptation.cloud(q[lasting], rate, filters["cutoff_hz"], filters["filter_order"]),
+        "wrench": adaptation.forces(part.wrench[lasting][:, after]),
+    }
+
+
+def _measured_cloud(assisted: list[Path], filters: dict) -> dict[str, Any]:
+    """Cloud of the steady part of the measured walks with the robot."""
+    trials = []
+    for folder in assisted:
+        columns, _ = read_pose(folder / "pose.parquet")
+        q = np.column_stack([columns[f"q_{axis}"] for axis in adaptation.AXES])
+        trials.append(q[_steady_rows(folder)])
+    if not trials:
+        return {"trials": 0}
+    length = min(map(len, trials))
+    stacked = np.stack([t[:length] for t in trials])
+    return adaptation.cloud(stacked, filters["rate_hz"], filters["cutoff_hz"], filters["filter_order"])
+
+
+def _steady_rows(folder: Path) -> np.ndarray:
+    """Samples of a walk at 85 % of its usual speed or more."""
+    table = pq.read_table(folder / "pose.parquet", columns=["time_s", "pelvis_x", "pelvis_y"])
+    time_s, x, y = (table[name].to_numpy() for name in table.column_names)
+    known = np.isfinite(x)
+    window = 1.2  # about a stride, so that the pelvis' own motion averages out [s]
+    half = round(window / 2 / float(time_s[1] - time_s[0]))
+    x, y = np.interp(time_s, time_s[known], x[known]), np.interp(time_s, time_s[known], y[known])
+    speed = np.zeros(len(x))
+    speed[half:-half] = np.hypot(x[2 * half :] - x[: -2 * half], y[2 * half :] - y[: -2 * half]) / window
+    return np.flatnonzero(speed >= 0.85 * np.percentile(speed, 90))
+
+
+def _measured_wrench(assisted: list[Path]) -> dict[str, Any]:
+    """Logged interface wrench of the measured walks, where there is one."""
+    rows = []
+    for folder in assisted:
+        table = pq.read_table(folder / "robot.parquet")
+        if all(name in table.column_names for name in WRENCH):
+            keep = _steady_rows(folder)
+            rows.append(np.column_stack([table[name].to_numpy() for name in WRENCH])[keep])
+    return adaptation.forces(np.concatenate(rows)[None]) if rows else {}
+
+
+GAIT_COLUMNS = (
+    "subject",
+    "seed",
+    "condition",
+    "cap",
+    "joint",
+    "cycles",
+    "rom_deg",
+    "rom_sd_deg",
+    "rom_change_deg",
+    "peak_deg",
+    "r_walk_robot",
+    "rom_paper_deg",
+    "survived",
+    "walkers",
+    "phantom",
+)
+CLOUD_COLUMNS = (
+    "subject",
+    "seed",
+    "condition",
+    "cap",
+    "robot_factor",
+    "sigma_x_mm",
+    "sigma_y_mm",
+    "sigma_z_mm",
+    "gamma",
+    "ellipse_area_mm2",
+    "gamma_paper",
+    "survived",
+    "walkers",
+    "phantom",
+)
+BAR_COLUMNS = ("subject", "seed", "bar", "value", "limit", "met", "phantom")
+
+
+def twin_table(
+    *, evaluations: list[Path], coupled: list[Path], out_bars: Path, out_gait: Path, out_cloud: Path
+) -> None:
+    """Bars of every policy, gait and interface cloud of every condition, one row each.
+
+    The folder of a file names the person, ``<SUBJECT>/seed-<N>/…``.
+    """
+    bars = [
+        row for path in evaluations for row in bar_rows(path.parent.parent.name, read_json(path, ("walk",)))
+    ]
+    write_table(out_bars, BAR_COLUMNS, bars)
+    records = [(path.parent.parent.name, read_json(path, ("conditions", "measured"))) for path in coupled]
+    write_table(out_gait, GAIT_COLUMNS, [row for name, r in records for row in gait_rows(name, r)])
+    write_table(out_cloud, CLOUD_COLUMNS, [row for name, r in records for row in cloud_rows(name, r)])
+
+
+def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row per bar of an examination: figure, limit, met."""
+    walk, bars, met = e["walk"], e["bars"], e["met"]
+    figures: list[tuple[str, Any, Any, bool]] = [
+        ("falls", walk["falls"], 0, met["falls"]),
+        ("speed_error", walk["speed_error"], bars["speed_error"], met["speed"]),
+    ]
+    for key, bar in (("rom_error_deg", "rom"), ("peak_error_deg", "peak"), ("r", "r"), ("rmse_deg", "rmse")):
+        for joint in SAGITTAL:
+            value, limit = walk["joints"][joint][key], bars[key][joint]
+            good = value is not None and (value >= limit if bar == "r" else abs(value) <= limit)
+            figures.append((f"{key}_{joint}", value, limit, good))
+    peak = walk["floor_force_peak_bw"]["mean_of_strides"]
+    figures += [
+        ("floor_force_peak_bw", peak, bars["floor_force_bw"], met["floor_force"]),
+        ("saturated_share", walk["saturated_share"], bars["saturated_share"], met["saturation"]),
+        ("warnings", walk["warnings"], 0, met["warnings"]),
+        (
+            f"falls_per_minute_{e['pushes'][0]['force_n']:g}_N",
+            e["pushes"][0]["falls_per_minute"],
+            bars["falls_per_minute"],
+            met["pushes"],
+        ),
+        ("battery_survived_share", e["battery"]["survived_share"], bars["battery_share"], met["battery"]),
+    ]
+    return [
+        {
+            "subject": subject,
+            "seed": e["seed"],
+            "bar": n,
+            "value": v,
+            "limit": limit,
+            "met": ok,
+            "phantom": e["phantom"],
+        }
+        for n, v, limit, ok in figures
+    ]
+
+
+def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row per condition and joint: free, coupled and measured."""
+    rows = []
+    measured = [
+        (name, r["measured"][name]) for name in ("walk_normal", "walk_robot") if name in r["measured"]
+    ]
+    cases: list[tuple[str, float | None, dict, int | None, int | None, dict | None]] = [
+        ("free", None, r["free"], None, None, None)
+    ]
+    cases += [(name, None, joints, None, None, r["measured"].get("walk_normal")) for name, joints in measured]
+    cases += [
+        (c["name"], c["cap"], c["joints"], c["survived"], c["walkers"], r["free"])
+        for c in r["conditions"]
+        if not c["robot_factors"]
+    ]
+    for name, cap, joints, survived, walkers, base in cases:
+        for joint in SAGITTAL:
+            j = joints[joint]
+            if not j["cycles"]:
+                continue
+            change = None
+            if base is not None and base[joint]["cycles"]:
+                change = j["rom_deg"][0] - base[joint]["rom_deg"][0]
+            rows.append(
+                {
+                    "subject": subject,
+                    "seed": r["seed"],
+                    "condition": name,
+                    "cap": cap,
+                    "joint": joint,
+                    "cycles": j["cycles"],
+                    "rom_deg": j["rom_deg"][0],
+                    "rom_sd_deg": j["rom_deg"][1],
+                    "rom_change_deg": change,
+                    "peak_deg": j["peak_deg"][0],
+                    "r_walk_robot": j.get("r") if cap is not None else None,
+                    "rom_paper_deg": r["paper"]["angles"].get(joint, {}).get(name, {}).get("rom_deg"),
+                    "survived": survived,
+                    "walkers": walkers,
+                    "phantom": r["phantom"],
+                }
+            )
+    return rows
+
+
+def cloud_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row per condition and for the measured walks: spread of the interface about the pelvis."""
+    cases: list[tuple[str, float | None, str, dict, int | None, int | None]] = [
+        ("walk_robot", None, "", r["measured"]["cloud"], None, None)
+    ]
+    for c in r["conditions"]:
+        factor = " ".join(f"{axis} x{value:g}" for axis, value in c["robot_factors"].items())
+        cases.append((c["name"], c["cap"], factor, c["cloud"], c["survived"], c["walkers"]))
+    rows = []
+    for name, cap, factor, cloud, survived, walkers in cases:
+        sigma = cloud.get("sigma_mm", [None] * 3)
+        rows.append(
+            {
+                "subject": subject,
+                "seed": r["seed"],
+                "condition": name,
+                "cap": cap,
+                "robot_factor": factor,
+                **dict(zip(("sigma_x_mm", "sigma_y_mm", "sigma_z_mm"), sigma, strict=True)),
+                "gamma": cloud.get("gamma"),
+                "ellipse_area_mm2": cloud.get("ellipse", {}).get("area_mm2"),
+                "gamma_paper": r["paper"]["cloud"].get(name, {}).get("gamma"),
+                "survived": survived,
+                "walkers": walkers,
+                "phantom": r["phantom"],
+            }
+        )
+    return rows

@@ -1,0 +1,381 @@
+"""Training of a policy: rollouts, updates, pushes once it walks, an early end when it passes, a checkpoint."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from real2sim.artefacts import write_json
+from real2sim.files import replacing
+from real2sim.provenance import fingerprint, provenance, sha256
+from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
+from real2sim.study.twin.evaluate import (
+    PUSH_DIRECTIONS,
+    PUSH_PHASES,
+    accepted,
+    battery_of,
+    free_walk,
+    plain,
+    pushed_walk,
+    withstands,
+)
+from real2sim.study.twin.gait import Reference
+from real2sim.study.twin.human import Body, body_of
+from real2sim.study.twin.policy import Policy, load_reference, save_policy
+from real2sim.study.twin.ppo import Learner, Normaliser, advantages, flat, layers_of
+
+PACKAGES = ["mujoco", "numpy"]
+
+
+class Trainer:
+    """One training, which can be saved between iterations and goes on to the same bits.
+
+    Parameters
+    ----------
+    who, reference
+        Person and gait.
+    settings
+        Slice ``twin`` of the configuration.
+    seed, threads
+        Of everything random, and of the simulations; the result does not depend on the threads.
+    """
+
+    def __init__(self, who: Body, reference: Reference, settings: dict, *, seed: int, threads: int):
+        self.who, self.reference, self.settings = who, reference, settings
+        self.options = settings["training"]
+        sims = self.options["simulations"]
+        self.env = WalkEnv(
+            who, settings["human"], reference, self.options, nsim=sims, threads=threads, seed=seed
+        )
+        self.env.sustained = True
+        self.env.hold(self.options["hold"])
+        self._threads = threads
+        self.learner = Learner.new(
+            OBSERVATIONS, ACTIONS, self.options["ppo"], np.random.default_rng([seed, 1])
+        )
+        self._mean_actor = [a.copy() for a in flat(self.learner.actor)]
+        self.normaliser = Normaliser(np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS))
+        self.iteration = 0
+        self.steps = 0
+        self.passes = 0
+        # bars met, steps and policy of the examination that went best
+        self.best: tuple[int, int, Policy] | None = None
+        self.episode = np.zeros(0)
+        self.evaluations: list[dict[str, Any]] = []
+        self.curve: list[dict[str, float]] = []
+        self.env.reset(np.arange(sims))
+        # lengths of the episodes that ended last [s]
+        self._lengths = [0.0] * 200
+
+    def policy(self) -> Policy:
+        """The deterministic policy as it is now: the mean of the last updates' weights.
+
+        Single updates walk back and forth about it: the floor force of one and the next differs by half a body weight.
+        """
+        return Policy(
+            layers_of([a.copy() for a in self._mean_actor]),
+            self.normaliser.mean.copy(),
+            self.normaliser.variance.copy(),
+            self.reference,
+            self.who,
+        )
+
+    @property
+    def mean_episode_s(self) -> float:
+        """Mean length of the last 200 episodes [s]."""
+        return float(np.mean(self._lengths[-200:]))
+
+    def iterate(self) -> dict[str, float]:
+        """One rollout of all simulations and one update; returns figures of it."""
+        o, env, learner = self.options, self.env, self.learner
+        horizon, n = o["horizon"], env.nsim
+        obs = np.empty((horizon, n, OBSERVATIONS), np.float32)
+        action = np.empty((horizon, n, ACTIONS), np.float32)
+        log_p, value, reward, ended = (np.empty((horizon, n)) for _ in range(4))
+        raw = env.observation()
+        longest = round(o["episode_s"] / env.control_s)
+        learning = self.iteration < o["normaliser_iterations"]
+        force = 0.0
+        for t in range(horizon):
+            if learning:
+                self.normaliser.update(raw)
+            obs[t] = self.normaliser(raw)
+            action[t], log_p[t] = learner.act(obs[t])
+            value[t] = learner.value(obs[t])
+            reward[t], fallen = env.step(action[t].astype(float))
+            force += float(np.mean(np.maximum(env.floor_force_bw() - 1.3, 0)))
+            timed_out = ~fallen & (env.age >= longest)
+            raw = env.observation()
+            if timed_out.any():
+                reward[t, timed_out] += (
+                    o["ppo"]["gamma"]
+                    / o["reward_scale"]
+                    * learner.value(self.normaliser(raw[timed_out])).astype(float)
+                )
+            over = fallen | timed_out
+            ended[t] = over
+            if over.any():
+                ids = np.flatnonzero(over)
+                self._lengths.extend((env.age[ids] * env.control_s).tolist())
+                env.reset(ids)
+                raw = env.observation()
+        del self._lengths[:-200]
+        last = learner.value(self.normaliser(raw)).astype(float)
+        reward *= o["reward_scale"]
+        gae = advantages(reward, value, last, ended, o["ppo"]["gamma"], o["ppo"]["lambda"])
+        kl = learner.update(
+            obs.reshape(-1, OBSERVATIONS),
+            action.reshape(-1, ACTIONS),
+            log_p.ravel().astype(np.float32),
+            gae.ravel(),
+            (gae + value).ravel(),
+        )
+        # a plain mean at first, then one that forgets
+        share = 1 / min(self.iteration + 1, o["ppo"]["averaged_updates"])
+        for mean, now in zip(self._mean_actor, flat(learner.actor), strict=True):
+            mean += share * (now - mean)
+        push = o["push"]
+        if self.mean_episode_s > push["gate_s"]:
+            env.push_force = min(env.push_force + push["ramp_n"], push["force_n"] * push["margin"])
+        self.iteration += 1
+        self.steps += horizon * n
+        row = {
+            "steps": float(self.steps),
+            "episode_s": self.mean_episode_s,
+            "reward": float(reward.mean()) / o["reward_scale"],
+            "push_n": float(env.push_force),
+            "rate": float(learner.actor_adam.rate),
+            "kl": kl,
+            "std": float(np.exp(learner.log_std).mean()),
+            "force": force / horizon,
+        }
+        self.curve.append(row)
+        return row
+
+    def _env(self, nsim: int, seed: int) -> WalkEnv:
+        return WalkEnv(
+            self.who,
+            self.settings["human"],
+            self.reference,
+            self.options,
+            nsim=nsim,
+            threads=self._threads,
+            seed=seed,
+        )
+
+    def evaluate(self) -> dict[str, Any]:
+        """Examination of the policy as it is now, with the bars that it meets.
+
+        The free walk of the acceptance; where that is passed, also single pushes and a short walk under pushes, so
+        that a training does not end with a policy that walks well and falls easily.
+        """
+        e, bars = self.settings["evaluation"], self.settings["acceptance"]
+        policy = self.policy()
+        walk = free_walk(self._env(e["walkers"], 0), policy, seconds=e["walk_s"], settle_s=e["settle_s"])
+        met = accepted(walk, bars)
+        verdict: dict[str, Any] = {"steps": self.steps, "walk": walk, "met": met}
+        if all(met.values()):
+            crowd = self._env(PUSH_DIRECTIONS * PUSH_PHASES, 1)
+            verdict["battery"] = battery_of(crowd, policy, e)
+            minutes = min(self.options["evaluate_push_minutes"], e["push_minutes"])
+            verdict["pushes"] = pushed_walk(
+                crowd, policy, force_n=e["push_n"][0], minutes=minutes, settle_s=e["settle_s"]
+            )
+            met["battery"] = verdict["battery"]["survived_share"] >= bars["battery_share"]
+            met["pushes"] = withstands(verdict["pushes"], bars)
+        return verdict | {"passed": all(met.values())}
+
+    def keep(self, verdict: dict[str, Any]) -> None:
+        """Remember the policy as it is now if none examined before it met more bars."""
+        met = sum(verdict["met"].values())
+        if self.best is None or met >= self.best[0]:
+            self.best = (met, self.steps, self.policy())
+
+    def chosen(self) -> tuple[int, Policy]:
+        """Steps and policy that met most bars when examined, the latest of equals; as it is now where none was."""
+        return (self.steps, self.policy()) if self.best is None else self.best[1:]
+
+    # -------------------- going on after an interruption
+
+    def save(self, path: Path, key: str) -> None:
+        """Write a checkpoint; ``key`` names what the training rests on."""
+        env = self.env
+        state = {
+            "key": key,
+            "actor": flat(self.learner.actor),
+            "mean_actor": self._mean_actor,
+            "critic": flat(self.learner.critic),
+            "log_std": self.learner.log_std,
+            "adam": [
+                (a.moments, a.steps, a.rate) for a in (self.learner.actor_adam, self.learner.critic_adam)
+            ],
+            "normaliser": (self.normaliser.mean, self.normaliser.variance, self.normaliser.count),
+            "random": (self.learner.rng.bit_generator.state, env.rng.bit_generator.state),
+            "env": (
+                env.batch.state.copy(),
+                *(x.copy() for x in (env.phase, env.age, env.lane_y, env._last)),
+                env._push_left.copy(),
+                env._push_next.copy(),
+                env.push_force,
+                env.impulse.copy(),
+                None if env.stops is None else env.stops.robot.copy(),
+            ),
+            "counters": (self.iteration, self.steps, self.passes, list(self._lengths)),
+            "records": (self.evaluations, self.curve, self.best),
+        }
+        with replacing(path) as temporary:
+            temporary.write_bytes(pickle.dumps(state))
+
+    def load(self, path: Path, key: str) -> bool:
+        """Go on from a checkpoint of the same ``key``; False where there is none."""
+        try:
+            state = pickle.loads(path.read_bytes())
+        except (OSError, pickle.UnpicklingError, EOFError):
+            return False
+        if state.get("key") != key:
+            return False
+        learner, env = self.learner, self.env
+        learner.actor, learner.critic = layers_of(state["actor"]), layers_of(state["critic"])
+        self._mean_actor = state["mean_actor"]
+        learner.log_std = state["log_std"]
+        learner.__post_init__()
+        for adam, (moments, steps, rate) in zip(
+            (learner.actor_adam, learner.critic_adam), state["adam"], strict=True
+        ):
+            adam.moments, adam.steps, adam.rate = moments, steps, rate
+        self.normaliser = Normaliser(*state["normaliser"])
+        learner.rng.bit_generator.state, env.rng.bit_generator.state = state["random"]
+        batch_state, env.phase, env.age, env.lane_y, env._last, *pushes, robot = state["env"]
+        env.batch.state[:] = batch_state
+        env._push_left, env._push_next, env.push_force, env.impulse = pushes
+        if env.stops is not None:
+            env.stops.robot = robot
+        self.iteration, self.steps, self.passes, self._lengths = state["counters"]
+        self.evaluations, self.curve, self.best = state["records"]
+        return True
+
+
+def train(
+    trainer: Trainer,
+    *,
+    checkpoint: Path | None = None,
+    key: str = "",
+    progress: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+) -> str:
+    """Train until the acceptance evaluation passes twice in a row, or the steps or the time are spent.
+
+    Returns why it ended: ``passed twice``, ``steps``, or ``time``. Only the last depends on the machine.
+    """
+    o = trainer.options
+    start, spent = time.monotonic(), time.process_time()
+    if checkpoint is not None and trainer.load(checkpoint, key):
+        progress(f"going on from {trainer.steps} steps")
+    reported = -np.inf
+    while True:
+        row = trainer.iterate()
+        elapsed = time.monotonic() - start
+        if elapsed - reported > o["report_s"]:
+            reported = elapsed
+            progress(
+                f"{trainer.steps / 1e6:.2f} M steps of {o['steps'] / 1e6:.1f} M, {elapsed:.0f} s: episodes of "
+                f"{row['episode_s']:.1f} s, reward {row['reward']:.3f}, pushes up to {row['push_n']:.0f} N, "
+                f"force {row['force']:.3f}, std {row['std']:.3f}, rate {row['rate']:.1e}"
+            )
+            if checkpoint is not None:
+                trainer.save(checkpoint, key)
+        every = o["evaluate_every_steps"]
+        crossed = trainer.steps // every != (trainer.steps - o["horizon"] * trainer.env.nsim) // every
+        if (
+            crossed
+            and trainer.steps >= o["evaluate_from_steps"]
+            and trainer.env.push_force >= o["push"]["force_n"]
+        ):
+            verdict = trainer.evaluate()
+            trainer.evaluations.append(verdict)
+            trainer.keep(verdict)
+            trainer.passes = trainer.passes + 1 if verdict["passed"] else 0
+            progress(f"{trainer.steps / 1e6:.2f} M steps: {summary(verdict)}")
+            if trainer.passes >= o["passes"]:
+                return "passed twice"
+        if trainer.steps >= o["steps"]:
+            return "steps"
+        # the processor's time, which a busy machine does not cut short
+        if time.process_time() - spent > o["processor_s"]:
+            return "time"
+
+
+def summary(verdict: dict[str, Any]) -> str:
+    """One line about an evaluation."""
+    walk = verdict["walk"]
+    joints = "; ".join(
+        f"{name.split('_')[0]} RoM {v['rom_error_deg']:+.1f} peak {v['peak_error_deg']:+.1f} "
+        f"RMSE {v['rmse_deg']:.1f} r {v['r']:.3f}"
+        for name, v in walk["joints"].items()
+    )
+    missed = ", ".join(name for name, ok in verdict["met"].items() if not ok) or "none"
+    peak = walk["floor_force_peak_bw"]["mean_of_strides"]
+    speed = walk["speed_error"]
+    return (
+        f"{walk['falls']} falls, speed {100 * (speed if speed is not None else np.nan):+.1f} %, {joints}, "
+        f"floor {peak if peak is None else round(peak, 2)} BW, missed: {missed}"
+    )
+
+
+def training_key(who: Body, reference: Path, settings: dict, seed: int) -> str:
+    """What a checkpoint has to agree on to be gone on from."""
+    about = [who.height_m, who.mass_kg, who.sex, sha256(reference), settings["human"], settings["training"]]
+    about += [seed, mujoco.__version__, fingerprint(__name__)]
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+def twin_train(
+    *,
+    person: Path,
+    reference: Path,
+    seed: int,
+    settings: dict,
+    out: Path,
+    record: Path,
+    checkpoint: Path,
+    threads: int = 1,
+) -> None:
+    """Train one policy of a person; goes on from a checkpoint of the same work, which is removed at the end.
+
+    ``settings`` is the slice ``twin``; ``out`` the policy (.npz), ``record`` what it rests on and how it learnt.
+    """
+    who, phantom = body_of(person)
+    trainer = Trainer(who, load_reference(reference), settings, seed=seed, threads=threads)
+    start, used = time.monotonic(), time.process_time()
+    ended = train(trainer, checkpoint=checkpoint, key=training_key(who, reference, settings, seed))
+    print(
+        f"{ended}: {trainer.steps} steps, {time.monotonic() - start:.0f} s wall, "
+        f"{time.process_time() - used:.0f} s of processor",
+        file=sys.stderr,
+    )
+    chosen_steps, policy = trainer.chosen()
+    save_policy(out, policy)
+    write_json(
+        record,
+        {
+            "phantom": phantom,
+            "seed": seed,
+            "ended": ended,
+            "reproducible": ended != "time",
+            "steps": trainer.steps,
+            "policy_steps": chosen_steps,
+            "bytes": out.stat().st_size,
+            "evaluations": plain(trainer.evaluations),
+            "curve": [{k: round(v, 6) for k, v in row.items()} for row in trainer.curve[::10]],
+            "provenance": provenance([person, reference], PACKAGES, fingerprint(__name__)),
+        },
+    )
+    checkpoint.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""What is simulated: plant, drive, replay, export of a model."""

@@ -1,0 +1,552 @@
+"""Replays of a trial through the plant with effects added: the plain plant plus what the hypotheses need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from real2sim.effects.base import Fields, Scales
+from real2sim.effects.catalogue import Placed
+from real2sim.effects.chains import Context, Sight
+from real2sim.effects.controller import Answer
+from real2sim.effects.frames import RestShift, rest_moved
+from real2sim.effects.friction import DryFriction
+from real2sim.effects.memory import FlowingMaxwell, Maxwell
+from real2sim.effects.planned import AnsweringForce, DrivenForce, PlannedForce, StandingForce
+from real2sim.effects.robot import YieldBeyondWheels
+from real2sim.effects.springs import Stop
+from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.plant import ROBOT_JOINTS, RestPose, robot_pose_for
+from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
+
+# Length of the windows after which a controller that answers the strap is asked again: against windows of one step, an
+# answer without delay of half the force errs by 0.012 mm of 2.4, a smoothed one by 0.003 (0.08 and 0.03 at 0.05 s)
+WINDOW_S = 0.02
+# What is recorded meanwhile
+_HEARD = ("sensordata", "qfrc_passive", "qfrc_constraint", "actuator_force")
+# Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
+NODES = 21
+
+
+@dataclass(frozen=True)
+class InputBasis:
+    """Changes of the pelvis command (b, nstep, 6) and of pelvis and rate at the start (b, 12) by an input chain.
+
+    With ``nodes`` (b,) those are the changes at these evenly spaced values of its one parameter, else slopes and
+    curvatures of its parameters.
+    """
+
+    commands: np.ndarray
+    starts: np.ndarray
+    nodes: np.ndarray | None = None
+
+    def weights(self, values: np.ndarray) -> np.ndarray:
+        """Shares (m, b) of the changes for values (m, p)."""
+        if self.nodes is None:
+            return np.hstack([values, values**2])
+        # cubic through the four nodes about a value: a path that ends has no smooth continuation to fit a global one to
+        step = self.nodes[1] - self.nodes[0]
+        place = (values[:, 0] - self.nodes[0]) / step
+        first = np.clip(np.floor(place).astype(int) - 1, 0, len(self.nodes) - 4)
+        t = (place - first)[:, None]
+        out = np.zeros((len(values), len(self.nodes)))
+        for k in range(4):
+            others = np.delete(np.arange(4), k)
+            out[np.arange(len(values)), first + k] = np.prod((t - others) / (k - others), axis=1)
+        return out
+
+
+class EffectReplay(Replay):
+    """A `Replay` with some effects, recording the robot's joints beside the interface.
+
+    Parameters
+    ----------
+    effects
+        Effects at their places; at most one of them may replace the spring of an axis.
+    context
+        What input chain, output chain and forces are computed from.
+    scales
+        Of the effects' parameters.
+    bases
+        What input chains do to the path of this trial, as far as other replays have asked; new ones are added.
+    settled
+        Whether the robot had come to rest against the strap before the path begins: its controller then holds where
+        that balances what pulls at the start, and not at the start pose.
+    replay
+        Arguments of `Replay`.
+    """
+
+    def __init__(
+        self,
+        *,
+        effects: Sequence[Placed],
+        context: Context,
+        scales: Scales,
+        bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
+        settled: bool = False,
+        **replay,
+    ):
+        self.effects, self._settled = tuple(effects), settled
+        self._context, self._scales = context, scales
+        self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
+        self._stopped = any(isinstance(placed.effect.plant, Stop) for placed in self.effects)
+        # a strap that rests elsewhere takes its other laws along: it is set last
+        rests = [isinstance(placed.effect.plant, RestShift) for placed in self.effects]
+        self._standing = [
+            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, StandingForce)
+        ]
+        self._shifted = any(rests) or bool(self._standing)
+        self._order = sorted(range(len(rests)), key=lambda i: rests[i])
+        self._answering = [
+            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, AnsweringForce)
+        ]
+        super().__init__(**replay)
+        first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
+        self._robot_columns = slice(first, first + 6)
+        self._robot_joints = np.array([self.model.joint(name).id for name in ROBOT_JOINTS])
+        # several turns of the rest pose make R_x R_y R_z, as the interface's coordinates do: z is applied first
+        self._sightings = sorted(
+            (i for i, placed in enumerate(self.effects) if placed.effect.sighting),
+            key=lambda i: [-axis for axis in self.effects[i].where.axes],
+        )
+        self._sights: list[StartPose] = []
+        self._headings = np.zeros(0)
+        self._values: list[np.ndarray] = []
+        self._parameters = np.empty((0, 12))
+        self._beside = np.zeros((self._batch.nsim, 6))
+        self._swaying = np.zeros((self._batch.nsim, 6))
+        # pelvis command of each simulation before any input chain
+        self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
+        chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
+        bases = {} if bases is None else bases
+        self._basis = {}
+        for i, placed in chains.items():
+            reach = self._own(placed, np.array(placed.bounds()))
+            key = placed.key, self.drive.timestep, reach.tobytes()
+            if key not in bases:
+                bases[key] = self._input_basis(placed)
+            self._basis[i] = bases[key]
+        self._columns_of = {
+            i: placed.effect.plant.columns(self.model, placed.where)
+            for i, placed in enumerate(self.effects)
+            if isinstance(placed.effect.plant, DrivenForce)
+        }
+
+    def _extend(self, spec: mujoco.MjSpec) -> None:
+        logged: dict[str, str] = {}
+        for placed in self.effects:
+            if isinstance(placed.effect.plant, YieldBeyondWheels):
+                logged |= placed.effect.plant.logged(placed.where)
+        for name in ROBOT_JOINTS:
+            spec.add_sensor(
+                name=f"robot_{name}",
+                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=logged.get(name, name),
+            )
+        if any(placed.effect.sighting for placed in self.effects):
+            spec.add_sensor(
+                name="interface_rotation",
+                type=mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+                objtype=mujoco.mjtObj.mjOBJ_XBODY,
+                objname="interface",
+            )
+        for placed in self.effects:
+            if placed.effect.plant is not None:
+                placed.effect.plant.build(spec, placed.where)
+        if self._frictional:
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+
+    def _input_basis(self, placed: Placed) -> InputBasis:
+        """How an input chain changes the pelvis command and its start, as far as the parameters' bounds.
+
+        One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
+        a tenth of its range: a lever arm of metres makes the square count.
+        """
+        context, chain = self._context, placed.effect.input_chain
+        assert chain is not None
+        zero = servo_command(self.drive), _first(self.drive)
+
+        def changed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            drive = self._drive_for(*chain(values, context))
+            return servo_command(drive) - zero[0], _first(drive) - zero[1]
+
+        low, high = self._own(placed, np.array(placed.bounds()))
+        count = len(low)
+        if count == 1:
+            nodes = np.linspace(low[0], high[0], NODES)
+            commands, starts = zip(*(changed(node[None]) for node in nodes), strict=True)
+            return InputBasis(np.array(commands), np.array(starts), nodes)
+        steps = np.diag(self._own(placed, placed.bounds()[1][None] / 10)[0])
+        # slope and curvature of each parameter from a step either way
+        both = [(changed(step), changed(-step)) for step in steps]
+        parts = []
+        for k in range(2):
+            up, down = (np.array([pair[way][k] for pair in both]) for way in (0, 1))
+            scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
+            parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
+        return InputBasis(*parts)
+
+    def _own(self, placed: Placed, x: np.ndarray) -> np.ndarray:
+        """SI values (m, p) of those of the searched numbers (m, p) that say something of this trial."""
+        return placed.values(x)[:, placed.of_trial(held_out=self._context.held_out)]
+
+    def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
+        frame = (self.drive.reference_rotation, self.drive.reference_origin)
+        return pelvis_drive(self._context.time_s, rotation, position, self.drive.timestep, frame)
+
+    def command_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Pelvis command (nstep, 6) for another path (n, 3, 3), (n, 3) [m] of the same trial."""
+        return servo_command(self._drive_for(rotation, position))
+
+    def _starts(self, m: int) -> tuple[np.ndarray, np.ndarray]:
+        if not self._basis and not self._sightings:
+            return super()._starts(m)
+        # a pelvis that is elsewhere than it was seen is so from the first step on: no jump, which would hit the robot
+        first = np.tile(_first(self.drive), (m, 1))
+        for i, basis in self._basis.items():
+            first += basis.weights(self._values[i][:m]) @ basis.starts
+        poses = self._sights or [self._start_pose] * m
+        states = [self._state_at(row[:6], row[6:], pose) for row, pose in zip(first, poses, strict=False)]
+        return np.array([q for q, _ in states]), np.array([v for _, v in states])
+
+    def _see(self, m: int) -> None:
+        """Where robot and interface start, and where the strap rests, of each of m simulations."""
+        self._sights, self._headings = [], np.zeros(m)
+        seen = self._start_pose
+        for k in range(m):
+            sight = Sight(seen.rotation, seen.position, seen.rest.rotation, seen.rest.position)
+            for i in self._sightings:
+                sighting = self.effects[i].effect.sighting
+                assert sighting is not None
+                sight = sighting.true(self._values[i][k], sight, self._context, self.effects[i].where.axes)
+            rest = RestPose(sight.rest_rotation, sight.rest_position)
+            # only the strap rests elsewhere: the robot stands where it was seen
+            if sight.rotation is seen.rotation and sight.position is seen.position:
+                self._sights.append(replace(seen, rest=rest))
+                continue
+            try:
+                joints = robot_pose_for(self._twin, sight.rotation, sight.position)
+            except (ValueError, np.linalg.LinAlgError):
+                # out of the robot's reach: no simulation, like one that MuJoCo gives up on
+                joints = np.full(6, np.nan)
+            self._sights.append(StartPose(joints, sight.rotation, sight.position, rest))
+            self._headings[k] = sight.heading
+
+    def _set_up(self, m: int) -> None:
+        """Write rest poses, and where the robot's controller holds, into the plants of m simulations."""
+        model, batch = self.model, self._batch
+        pelvis, site = model.body("pelvis").id, model.site("pelvis").id
+        quat, centre, origin, spring = (
+            batch.expand(name)[:m] for name in ("body_quat", "body_ipos", "site_pos", "qpos_spring")
+        )
+        for k, pose in enumerate(self._sights):
+            mujoco.mju_mat2Quat(quat[k, pelvis], pose.rest.rotation.T.flatten())
+            centre[k, pelvis] = origin[k, site] = -pose.rest.position
+            spring[k, model.jnt_qposadr[self._robot_joints]] = pose.joints
+
+    def hold_beside(self, shifts: np.ndarray, rates: np.ndarray) -> None:
+        """Let the controller of a robot at rest hold beside the balance, and the robot not be quite at rest.
+
+        ``shifts`` [m, rad] and ``rates`` [m/s, rad/s], (nsim, 6) by robot joint.
+        """
+        self._beside[:], self._swaying[:] = shifts, rates
+
+    def set_command(self, simulation: int, command: np.ndarray) -> None:
+        """Let one simulation follow another pelvis command (nstep, 6) from now on."""
+        self._control[simulation, :, :6] = self._commands[simulation] = command
+
+    def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate strap parameters (m, 12) with searched numbers (m, p) of each effect.
+
+        Returns interface sites (m, n, 2, 3) [m, world] as the markers show them and robot joints (m, n, 6) as its log
+        shows them, relative to the start pose [m, rad]. A simulation that MuJoCo gave up on is NaN.
+        """
+        m = len(parameters)
+        values = [self._own(placed, part) for placed, part in zip(self.effects, x, strict=True)]
+        self._values, self._parameters = values, parameters
+        if self._sightings:
+            self._see(m)
+        sensors = self._simulate(parameters)
+        paths = self._samples(sensors)
+        start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
+        joints = sensors[:, :: self.stride, self._robot_columns] - start
+        # what MuJoCo gave up on stays NaN, and the others are none the worse for it
+        done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2, 3)))
+        if self._sightings and len(done):
+            paths[done], joints[done] = self._seen(paths[done], joints[done], sensors[done], done)
+        for placed, value in zip(self.effects, values, strict=True):
+            if placed.effect.output_chain is not None and len(done):
+                paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
+            if placed.effect.log_chain is not None and len(done):
+                joints[done] = placed.effect.log_chain(joints[done], value[done], self._context)
+        assert len(paths) == m
+        return paths, joints
+
+    def _seen(
+        self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Marker paths and robot joints as they are seen, for joint centres (m, n, 2, 3) and joints (m, n, 6).
+
+        ``which`` (m,) are their numbers among the simulations.
+        """
+        column = self.model.sensor("interface_rotation").adr[0]
+        wxyz = sensors[:, :: self.stride, column : column + 4]
+        rotation = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
+        rotation = rotation.reshape(*wxyz.shape[:2], 3, 3)
+        for i in reversed(self._sightings):
+            sighting = self.effects[i].effect.sighting
+            assert sighting is not None
+            paths = sighting.seen(paths, rotation, self._values[i][which], self._context)
+        heading = self._headings[which, None]
+        c, s = np.cos(heading), np.sin(heading)
+        x, y = joints[..., 0], joints[..., 1]
+        return paths, np.stack([c * x - s * y, s * x + c * y, *np.moveaxis(joints[..., 2:], 2, 0)], axis=2)
+
+    def _roll(self, m: int) -> np.ndarray:
+        fields = Fields(self._batch, self.model, m, self._scales)
+        others = np.setdiff1d(np.arange(self.model.nv), self._dofs)
+        if self._frictional:
+            self._armature[:m, others] = self.model.dof_armature[others]
+        if self._sightings:
+            self._set_up(m)
+        if self._shifted:
+            # the rest of the last call is moved already, and effects write only what they change
+            strap = self.model.jnt_qposadr[self._joints]
+            fields["qpos_spring"][:, strap] = self.model.qpos_spring[strap]
+            for name in ("tendon_lengthspring", "tendon_range") if self.model.ntendon else ():
+                fields[name][:] = getattr(self.model, name)
+        for i in self._order:
+            placed, values = self.effects[i], self._values[i]
+            if placed.effect.plant is not None:
+                placed.effect.plant.set(fields, placed.where, self._parameters, values)
+            if i in self._basis or i in self._columns_of:
+                self._add_control(i, placed, values, m)
+        # a robot at rest has balanced what pulls, in the neutral trial as well
+        if self._standing and not self._settled:
+            self._stretch_at_rest(fields, m)
+        if self._shifted and self.model.tendon_springyield.any():
+            # MuJoCo's reset lets what yields begin where the springs rest, which was another place before
+            self._reset_to(self._state(m))
+        if self._frictional:
+            # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
+            # friction holds would creep by what is missing. As an inertia proper the same motion is held.
+            self._armature[:m] += self.model.opt.timestep * self._damping[:m]
+        if self._stopped:
+            self._weigh(m)
+        if self._answering:
+            return self._roll_answering(fields, m)
+        if self._settled:
+            self._settle(fields, m)
+        return super()._roll(m)
+
+    def _roll_answering(self, fields: Fields, m: int) -> np.ndarray:
+        """As of `Replay`, window by window.
+
+        Before the trial the person stood as in its first moments: they are simulated beforehand, since what the strap
+        does in them depends on its law. The very first sample is a jolt of the simulation.
+        """
+        start = self._context.start * self.stride
+        before = self._pull_while_standing(m)
+        for last in (start, self.nstep):
+            answers = self._begin(before)
+            if self._settled:
+                self._settle(fields, m)
+            state = self._state(m)
+            pull = self._roll_windows(answers, last, m)
+            before = pull[:, :start].mean(axis=1)
+            if last < self.nstep:
+                self._reset_to(state)
+        return self._without_failed(m)
+
+    def _pull_while_standing(self, m: int) -> np.ndarray:
+        """Force (m, 2) [N, world] on the interface that springs and dampers make of the measured coordinates."""
+        context, start = self._context, self._context.start
+        force = self._parameters[:m, None, :3] * context.coordinates[:start, :3]
+        force = -(force + self._parameters[:m, None, 6:9] * context.rates[:start, :3])
+        return np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start
+
+    def _begin(self, pulled: np.ndarray) -> dict[int, Answer]:
+        """Controllers up to the start, where the strap pulled with (m, 2) [N], by number of their effect."""
+        m, h = len(pulled), self.model.opt.timestep
+        answers = {}
+        for i in self._answering:
+            plant = self.effects[i].effect.plant
+            assert isinstance(plant, AnsweringForce)
+            before = pulled if plant.law.hears == "strap" else np.zeros((m, 3))
+            answers[i] = Answer(plant.law(self._values[i][:m], before, h), before, h, self.nstep)
+            self._control[:m, :1, self._columns_of[i]] = answers[i].plan(1)
+        return answers
+
+    def _roll_windows(self, answers: dict[int, Answer], last: int, m: int) -> np.ndarray:
+        """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
+        batch, ids, count = self._batch, np.arange(m), max(round(WINDOW_S / self.model.opt.timestep), 1)
+        pull = np.empty((m, last, 2))
+        base = slice(self._robot_columns.start, self._robot_columns.start + 3)
+        start = self._state(m)[0][..., self.model.jnt_qposadr[self._robot_joints[:3]]].reshape(-1, 1, 3)
+        for first in range(0, last, count):
+            window = slice(first, min(first + count, last))
+            for i, answer in answers.items():
+                self._control[:m, window, self._columns_of[i]] = answer.plan(window.stop - first)
+            control = self._control[:m, window]
+            done = batch.rollout(window.stop - first, control, record=_HEARD, ids=ids)
+            self._sensors[:m, window] = done["sensordata"]
+            pull[:, window] = self._strap_force(done, window)
+            heard = {"strap": pull[:, window], "base": done["sensordata"][..., base] - start}
+            for answer in answers.values():
+                answer.learn(heard[answer.hears])
+        return pull
+
+    def _strap_force(self, done: dict[str, np.ndarray], window: slice) -> np.ndarray:
+        """Force (m, w, 2) [N, world] of the strap on the interface in some steps, by whatever law it pulls."""
+        dofs = self._dofs[:3]
+        force = done["qfrc_passive"][..., dofs] + done["qfrc_constraint"][..., dofs]
+        for axis, actuators in enumerate(self._on_strap):
+            force[..., axis] += done["actuator_force"][..., actuators].sum(axis=-1)
+        return np.einsum("nij,mnj->mni", self._pelvis_at_steps[window], force)
+
+    @cached_property
+    def _on_strap(self) -> list[np.ndarray]:
+        """Actuators of the translational joints of the strap: planned forces, and bristles of a friction."""
+        model = self.model
+        of_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        return [np.flatnonzero(of_joint & (model.actuator_trnid[:, 0] == j)) for j in self._joints[:3]]
+
+    @cached_property
+    def _pelvis_at_steps(self) -> np.ndarray:
+        """Horizontal rows of the pelvis' rotation at every step, (nstep, 2, 3)."""
+        context = self._context
+        rows = context.pelvis_rotation[:, :2].reshape(-1, 6)
+        steps = [np.interp(context.step_time_s, context.time_s, row) for row in rows.T]
+        return np.stack(steps, axis=1).reshape(-1, 2, 3)
+
+    def _settle(self, fields: Fields, m: int) -> None:
+        """Let every spring between floor and interface rest where it balances what pulls at the robot at the start.
+
+        That is strap and planned forces where nothing moves, by whatever law; what relaxes has done so, and friction is
+        taken to hold nothing.
+        """
+        model, batch = self.model, self._batch
+        joints, adr, dofs = self._chain
+        position, velocity = self._state(m)
+        for placed in self.effects:
+            if isinstance(placed.effect.plant, (Maxwell, FlowingMaxwell)):
+                placed.effect.plant.relax(fields, placed.where, position)
+        springs = fields["qpos_spring"]
+        springs[:, adr] = position[:, adr]
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
+        pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
+        force = pull["qfrc_passive"][:, 0]
+        for columns in self._columns_of.values():
+            driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+            force[:, driven] += self._control[:m, 0, columns]
+        stiffness = fields["jnt_stiffness"][:, joints]
+        for k in range(m):
+            # how the strap's joints go where those of the robot move and the pelvis stays
+            given = self._jacobian(batch.get_model(k), position[k])
+            follow = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
+            pulled = force[k, dofs] + follow.T @ force[k, self._dofs]
+            moving = np.zeros(model.nv)
+            moving[model.jnt_dofadr[self._robot_joints]] = self._swaying[k]
+            velocity[k] += moving
+            velocity[k, self._dofs] += follow @ moving[dofs]
+            springs[k, adr] -= np.where(stiffness[k] > 0, pulled / np.maximum(stiffness[k], 1e-9), 0.0)
+        springs[:, model.jnt_qposadr[self._robot_joints]] += self._beside[:m]
+        self._reset_to([position, velocity])
+        self._began_at = position[0]
+
+    def _stretch_at_rest(self, fields: Fields, m: int) -> None:
+        """Let the strap rest elsewhere by what standing forces stretched its springs when its rest pose was taken.
+
+        The robot was let go in the neutral trial as in this one, and came to where springs of robot and strap hold the
+        force. Small displacements; the strap's other laws are taken to be quiet about its rest.
+        """
+        model, context = self.model, self._context
+        robot = model.jnt_dofadr[self._robot_joints]
+        held = fields["jnt_stiffness"][:, self._robot_joints]
+        # the robot stood by the pelvis as it does now, which looked elsewhere
+        heading = context.pelvis_rotation[0] @ context.neutral_rotation.T
+        position = np.atleast_2d(self._starts(m)[0])
+        given = self._jacobian(model, position[0])
+        follow = -np.linalg.solve(given[:, self._dofs], given[:, robot])
+        force = np.zeros((m, model.nv))
+        for i in self._standing:
+            plant, columns = self.effects[i].effect.plant, self._columns_of[i]
+            assert isinstance(plant, StandingForce)
+            driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+            planned = plant.force(self._values[i], context, self.effects[i].where, self._parameters[:m])
+            force[:, driven] += planned[:, 0]
+        pulled = force[:, robot]
+        pulled[:, :2] = pulled[:, :2] @ heading[:2, :2].T
+        stiffness = held[:, :, None] * np.eye(len(robot)) + np.einsum(
+            "ai,ma,aj->mij", follow, self._parameters[:m, :6], follow
+        )
+        stretch = np.linalg.solve(stiffness, pulled[..., None])[..., 0] @ follow.T
+        for axis in range(len(self._dofs)):
+            rest_moved(fields, axis, -stretch[:, axis])
+
+    def as_simulated(self) -> Simulated:
+        """As of `Replay`; what relaxes starts where it has done so."""
+        simulated = super().as_simulated()
+        return replace(simulated, position=self._began_at.copy()) if self._settled else simulated
+
+    @cached_property
+    def _chain(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joints between floor and interface: their indices, where they are in qpos, and their degrees of freedom."""
+        model = self.model
+        body, bodies = model.body("interface").id, []
+        while body:
+            bodies.append(body)
+            body = model.body_parentid[body]
+        joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
+        return joints, model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+
+    @staticmethod
+    def _jacobian(model: mujoco.MjModel, position: np.ndarray) -> np.ndarray:
+        """Of the pelvis by all degrees of freedom (6, nv), at joint positions (nq,)."""
+        data = mujoco.MjData(model)
+        data.qpos[:] = position
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        out = np.zeros((6, model.nv))
+        mujoco.mj_jacSite(model, data, out[:3], out[3:], model.site("pelvis").id)
+        return out
+
+    def _state(self, m: int) -> list[np.ndarray]:
+        """Joint positions and rates of m simulations, (m, nq) and (m, nv)."""
+        return [self._batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+
+    def _reset_to(self, state: list[np.ndarray]) -> None:
+        """Reset the first simulations to joint positions and rates."""
+        m = len(state[0])
+        self._batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+
+    def _weigh(self, m: int) -> None:
+        """Let a stop know the inertia that comes against it with these dampers."""
+        state = self._state(m)
+        self._batch.set_const(np.arange(m))
+        self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+
+    def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:
+        # controls start anew at every call: the first effect that adds to them restores the plain command
+        first = min([*self._basis, *self._columns_of])
+        if i == first:
+            self._control[:m, :, :6] = self._commands[:m]
+            self._control[:m, :, 6:] = 0
+        if i in self._basis:
+            basis = self._basis[i]
+            self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
+        elif isinstance(placed.effect.plant, PlannedForce):
+            force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
+            self._control[:m, :, self._columns_of[i]] += force
+
+
+def _first(drive: PelvisDrive) -> np.ndarray:
+    """Pelvis and its rate at the start, (12,)."""
+    return np.concatenate([drive.position[0], drive.velocity[0]])

@@ -1,0 +1,1 @@
+"""Proof that the rest is right: phantom people, suites with sealed causes, scores."""

@@ -1,0 +1,86 @@
+"""Diagnosis of the cases of one shard of a suite: ingest, gates left out, answer; the truth is nowhere in sight."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import sys
+import time
+from pathlib import Path
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.diagnosis.stage import diagnose
+from real2sim.errors import InputError
+from real2sim.provenance import fingerprint, sha256
+from real2sim.recording.ingest import ingest_subject
+
+TRAIN, HELD_OUT, NEUTRAL = "dynamic_1", "dynamic_2", "neutral"
+
+
+def diagnose_cases(*, cases: list[Path], robot: Path, settings: dict, work: Path, out: Path) -> None:
+    """Answer every case of a shard.
+
+    Parameters
+    ----------
+    cases
+        Folders of raw exports, one person each.
+    settings
+        Slices ``ingest``, ``identification``, ``plant``, ``robot`` and ``diagnosis`` of the configuration.
+    work
+        Where canonical tables and the answer of each case go: <work>/<CASE>/. An answer that is there, from the same
+        recordings, settings and code, is kept, so that an interrupted shard goes on.
+    out
+        JSON with the list of answers.
+    """
+    answers, begun, done = [], time.monotonic(), 0
+    for index, folder in enumerate(cases):
+        target = work / folder.name / "diagnosis.json"
+        seconds = target.with_name("seconds.json")
+        key = _key(folder, robot, settings)
+        if not (target.exists() and seconds.exists() and read_json(seconds).get("key") == key):
+            start = time.monotonic()
+            _answer(folder, robot, settings, target)
+            write_json(seconds, {"seconds": time.monotonic() - start, "key": key})
+            done += 1
+        answers.append(str(target))
+        # answers that were kept took no time and say nothing of the others
+        left = (time.monotonic() - begun) / max(done, 1) * (len(cases) - index - 1)
+        print(f"{index + 1}/{len(cases)} cases, about {left:.0f} s left", file=sys.stderr, flush=True)
+    write_json(out, {"schema": 1, "answers": answers})
+
+
+def _key(folder: Path, robot: Path, settings: dict) -> str:
+    """What an answer rests on: recordings, robot, settings and code."""
+    files = [robot, *sorted(path for path in folder.iterdir() if path.is_file())]
+    parts = [fingerprint(__name__), json.dumps(settings, sort_keys=True)]
+    return hashlib.sha256("\n".join([*parts, *map(sha256, files)]).encode()).hexdigest()
+
+
+def _answer(folder: Path, robot: Path, settings: dict, target: Path) -> None:
+    tables = target.parent
+    raw = sorted(path for path in folder.iterdir() if path.name != "subject.yaml")
+    with contextlib.redirect_stdout(io.StringIO()):
+        ingest_subject(
+            subject=folder.name,
+            folder=folder,
+            settings=settings["ingest"],
+            raw=raw,
+            out=tables,
+        )
+    missing = [name for name in (TRAIN, HELD_OUT, NEUTRAL) if not (tables / name).exists()]
+    if missing:
+        expected = f"{NEUTRAL}, {TRAIN} and {HELD_OUT}"
+        raise InputError(
+            folder, "", f"no trial {', '.join(missing)}", expected, "Record it.", "trial_missing"
+        )
+    diagnose(
+        subject=folder.name,
+        train=tables / TRAIN,
+        held_out=tables / HELD_OUT,
+        neutral=tables / NEUTRAL,
+        robot=robot,
+        settings=settings,
+        out=target,
+    )

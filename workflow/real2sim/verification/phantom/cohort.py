@@ -1,0 +1,237 @@
+"""Simulate, measure and write the synthetic people; the truth goes to a file that no analysis reads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from real2sim.files import write_text
+from real2sim.verification.phantom import exports
+from real2sim.verification.phantom.exports import Trial
+from real2sim.verification.phantom.motions import Motion, pelvis_path
+from real2sim.verification.phantom.person import PARAMETER_NAMES, UNITS, Person, active, draw_person, stream
+from real2sim.verification.phantom.physics import (
+    AXES,
+    Controller,
+    PelvisPath,
+    Robot,
+    StrapLaw,
+    TruePaths,
+    simulate,
+)
+from real2sim.verification.phantom.plan import has_log, planned_files, trial_names
+from real2sim.verification.phantom.tasks import motion_of
+
+FREE = np.full(6, np.inf)  # a strap without stops
+
+
+def write_subject(
+    *, subject: str, settings: dict, controllers: dict, robot: Path, out: list[Path], truth: Path
+) -> None:
+    """Write every raw export of one synthetic person, and the sealed truth.
+
+    ``settings`` is config/phantom.yaml, ``controllers`` the robot's controllers (config.yaml, ``robot``),
+    ``robot`` the MJCF of the robot; ``out`` names subject.yaml and every trial file in one folder, exactly as
+    `plan.planned_files` does. Raises ValueError where ``out`` and the plan differ.
+    """
+    folder = Path(out[0]).parent
+    planned = planned_files(settings, folder.parent, subject)
+    if sorted(planned) != sorted(Path(p) for p in out):
+        raise ValueError(
+            f"the files asked for are not those planned for {subject}: {set(out) ^ set(planned)}"
+        )
+    person, trials, start_poses = simulate_subject(settings, controllers, robot, subject)
+    home = _base_home(robot)
+    notes: dict[str, Any] = {}
+    for index, trial in enumerate(trials):
+        clocks = exports.draw_clocks(settings, person, trial.name, index)
+        notes[trial.name] = exports.write_trial_markers(folder / f"{trial.name}.tsv", settings, person, trial)
+        exports.write_trial_coordinates(folder / f"{trial.name}.mot", settings, person, trial, clocks)
+        if trial.truth is not None:
+            exports.write_trial_log(folder / f"{trial.name}.mcap", settings, person, trial, clocks, home)
+            notes[trial.name] |= _reached(trial.truth)
+        notes[trial.name] |= {"clocks": clocks, "robot_start": start_poses[trial.name].tolist()}
+    write_text(folder / "subject.yaml", _subject_yaml(person))
+    write_text(
+        truth,
+        json.dumps(_truth(settings, person, notes, robot, controllers), indent=1, allow_nan=False),
+    )
+
+
+def simulate_subject(
+    settings: dict[str, Any], controllers: dict[str, Any], robot: Path, subject: str
+) -> tuple[Person, list[Trial], dict[str, np.ndarray]]:
+    """All trials of a person with their true paths, and the robot's start pose (6,) per trial."""
+    plant = Robot(robot, settings["simulation"]["step_s"])
+    person = draw_person(settings, subject, float(plant.rest_middle(np.zeros(6))[1][2]))
+    trials, starts = [], {}
+    for name in trial_names(settings, subject):
+        starts[name] = _place(settings, person, name)
+        trials.append(_prepare(settings, person, plant, name, starts[name]))
+    with_robot = [t for t in trials if has_log(t.name)]
+    law = _law(settings, person, [t.name for t in with_robot])
+    hands = [robot_controller(settings, controllers, t.kind, starts[t.name]) for t in with_robot]
+    done = simulate(plant, [t.path for t in with_robot], law, hands, settings["rates"]["log_hz"])
+    for trial, paths in zip(with_robot, done, strict=True):
+        trial.truth = paths
+    return person, trials, starts
+
+
+def simulate_trial(
+    *,
+    robot: Path,
+    settings: dict[str, Any],
+    controllers: dict[str, Any],
+    parameters: dict[str, float],
+    motion: Motion,
+    rest_rotation: np.ndarray,
+    rest_position: np.ndarray,
+    lower: np.ndarray = -FREE,
+    upper: np.ndarray = FREE,
+    start: np.ndarray | None = None,
+    kind: str = "dynamic",
+    pivot: np.ndarray | None = None,
+    rate_hz: float = 100.0,
+) -> TruePaths:
+    """True paths of one trial with explicit values: no noise, no effects, nothing written.
+
+    ``parameters`` k_tx … d_rz [SI]; (``rest_rotation`` (3, 3), ``rest_position`` (3,)) of the interface in
+    the pelvis at q = 0; ``lower``, ``upper`` (6,) stops; ``start`` (6,) robot joints at t = 0. The robot's
+    step is ``settings["simulation"]["step_s"]``.
+    """
+    plant = Robot(robot, settings["simulation"]["step_s"])
+    start = np.zeros(6) if start is None else start
+    pivot = np.array(settings["person"]["pivot_m"]) if pivot is None else pivot
+    path = _path_from_start(plant, motion, start, rest_rotation, rest_position, pivot, 0.0)
+    law = StrapLaw(
+        np.array([[parameters[n] for n in PARAMETER_NAMES[:6]]]),
+        np.array([[parameters[n] for n in PARAMETER_NAMES[6:]]]),
+        np.array([lower]),
+        np.array([upper]),
+        np.array(settings["stops"]["stiffness"]),
+        np.array(settings["stops"]["damping"]),
+        rest_rotation[None],
+        rest_position[None],
+        np.zeros((1, 3)),
+    )
+    hands = robot_controller(settings, controllers, kind, start)
+    return simulate(plant, [path], law, [hands], rate_hz)[0]
+
+
+def robot_controller(
+    settings: dict[str, Any], controllers: dict[str, Any], kind: str, start: np.ndarray
+) -> Controller:
+    """Hold about the start pose; in walking the base follows the person forward."""
+    base = [controllers["hold"][key] for key in ("x", "y", "yaw")]
+    arm = [controllers["arm"][key] for key in ("lift", "roll", "pitch")]
+    stiffness = np.array([j["stiffness"] for j in base + arm], float)
+    damping = np.array([j["damping"] for j in base + arm], float)
+    # the arm's springs pull to zero, which is where it starts
+    rest = np.array([*start[:3], 0.0, 0.0, 0.0])
+    follow = settings["gait"]["follow"] if kind == "walk_robot" else None
+    return Controller(rest, stiffness, damping, follow)
+
+
+def _place(settings: dict[str, Any], person: Person, trial: str) -> np.ndarray:
+    body, rng = settings["person"], stream(settings, person.name, trial, "placement")
+    xy = body["placement_sd_m"] * rng.standard_normal(2)
+    yaw = np.radians(body["placement_sd_deg"]) * rng.standard_normal()
+    return np.array([*xy, yaw, 0.0, 0.0, 0.0])
+
+
+def _path_from_start(
+    plant: Robot, motion: Motion, start, rest_rotation, rest_position, pivot, tail: float
+) -> PelvisPath:
+    # the pelvis that has q = 0 while the robot stands at its start pose
+    rotation, position = plant.rest_middle(start)
+    pelvis = rotation @ rest_rotation.T
+    return pelvis_path(motion, float(start[2]), pelvis, position - pelvis @ rest_position, pivot, tail)
+
+
+def _prepare(settings: dict[str, Any], person: Person, plant: Robot, name: str, start: np.ndarray) -> Trial:
+    motion = motion_of(settings, person, name)
+    tail = settings["simulation"]["tail_s"]
+    path = _path_from_start(
+        plant, motion, start, person.rest_rotation, person.rest_position, person.pivot, tail
+    )
+    rotation, position = (x[0] for x in path(np.zeros(1))[:2])
+    return Trial(name, motion, path, float(start[2]), position + rotation @ person.pivot, None)
+
+
+def _law(settings: dict[str, Any], person: Person, names: list[str]) -> StrapLaw:
+    migration = np.zeros(3)  # straps creep upward
+    if active(settings, "effects", "strap_migration"):
+        migration[2] = settings["effects"]["strap_migration"]["rate_m_per_min"] / 60
+    levels = [int(n[-2:]) if "_T" in n else person.operating_level for n in names]
+    n = len(names)
+    return StrapLaw(
+        np.tile(person.stiffness, (n, 1)),
+        np.tile(person.damping, (n, 1)),
+        np.array([person.stops[level][0] for level in levels]),
+        np.array([person.stops[level][1] for level in levels]),
+        np.array(settings["stops"]["stiffness"]),
+        np.array(settings["stops"]["damping"]),
+        np.tile(person.rest_rotation, (n, 1, 1)),
+        np.tile(person.rest_position, (n, 1)),
+        np.tile(migration, (n, 1)),
+    )
+
+
+def _base_home(robot: Path) -> np.ndarray:
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(robot))
+    return model.body("base").pos[:2].copy()
+
+
+def _reached(paths: TruePaths) -> dict[str, Any]:
+    return {
+        "q_min": dict(zip(AXES, paths.q.min(axis=0).tolist(), strict=True)),
+        "q_max": dict(zip(AXES, paths.q.max(axis=0).tolist(), strict=True)),
+    }
+
+
+def _subject_yaml(person: Person) -> str:
+    facts = {"id": person.name, "phantom": True, **person.facts}
+    head = f"# {exports.NOTICE}\n"
+    return head + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
+
+
+def _truth(settings, person: Person, notes, robot: Path, controllers) -> dict[str, Any]:
+    markerless, odometry = (
+        exports.markerless_frame(settings, person),
+        exports.odometry_frame(settings, person),
+    )
+    return {
+        "phantom": True,
+        "note": "Sealed truth of a synthetic person. No analysis may read this file.",
+        "subject": person.name,
+        "parameters": {
+            name: {"value": value, "unit": UNITS[name]} for name, value in person.parameters.items()
+        },
+        "rest_pose": {
+            "rotation": person.rest_rotation.tolist(),
+            "position_m": person.rest_position.tolist(),
+        },
+        "operating_level_cm": person.operating_level,
+        "stops": {
+            str(level): {"lower": low.tolist(), "upper": high.tolist(), "units": ["m"] * 3 + ["rad"] * 3}
+            for level, (low, high) in person.stops.items()
+        },
+        "pelvis_markers_m": {name: place.tolist() for name, place in person.markers.items()},
+        "soft_tissue_m_per_rad": {name: c.tolist() for name, c in person.soft_tissue.items()},
+        "marker_noise_sd_m": person.marker_noise_m,
+        "markerless_frame": {"heading_rad": markerless[0], "origin_m": markerless[1].tolist()},
+        "odometry_frame": {"heading_rad": odometry[0], "origin_m": odometry[1].tolist()},
+        "effects": settings["effects"],
+        "measurement": settings["measurement"],
+        "seed": settings["seed"],
+        "step_s": settings["simulation"]["step_s"],
+        "controllers": controllers,
+        "robot": robot.name,
+        "trials": notes,
+    }

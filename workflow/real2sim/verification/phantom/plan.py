@@ -1,0 +1,76 @@
+"""Which people and files the phantom will write. Light imports: the Snakefile calls this when parsed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from real2sim.recording.subjects import Subject, TrialFiles
+
+
+def tightness_levels(person: dict[str, Any]) -> list[int]:
+    """Levels of the tightness sweep [cm], loosest first."""
+    t = person["tightness"]
+    return list(range(t["loosest_cm"], t["tightest_cm"] + 1))
+
+
+def trial_names(settings: dict[str, Any], subject: str) -> list[str]:
+    """Trials of one person, in the order in which they are recorded."""
+    levels, counts = tightness_levels(settings["cohort"][subject]), settings["trials"]
+    sweep = [f"{kind}_T{level:02d}" for level in levels for kind in ("rotation", "translation")]
+    numbered = [
+        f"{kind}_{i + 1}"
+        for kind in ("dynamic", "walk_normal", "walk_robot")
+        for i in range(counts[f"{kind}_trials"])
+    ]
+    return ["neutral", *sweep, *numbered]
+
+
+def has_log(trial: str) -> bool:
+    """Whether the robot takes part in a trial."""
+    return not trial.startswith("walk_normal")
+
+
+def planned_files(settings: dict[str, Any], root: Path, subject: str) -> list[Path]:
+    """Every file that `cohort.write_subject` writes for one person, below ``root``."""
+    folder = root / subject
+    files = [folder / "subject.yaml"]
+    for trial in trial_names(settings, subject):
+        suffixes = (".tsv", ".mot", ".mcap") if has_log(trial) else (".tsv", ".mot")
+        files += [folder / f"{trial}{suffix}" for suffix in suffixes]
+    return files
+
+
+def planned_subjects(config: dict[str, Any], root: Path) -> dict[str, Subject]:
+    """People of the phantom as `real2sim.recording.subjects.discover` will find them below ``root``.
+
+    ``config`` is config/phantom.yaml. The files need not exist yet.
+    """
+    return {name: _subject(config, root / name, name) for name in config["cohort"]}
+
+
+def _subject(settings: dict[str, Any], folder: Path, name: str) -> Subject:
+    person = settings["cohort"][name]
+    trials = {
+        trial: TrialFiles(
+            markers=folder / f"{trial}.tsv",
+            markerless=folder / f"{trial}.mot",
+            log=folder / f"{trial}.mcap" if has_log(trial) else None,
+        )
+        for trial in trial_names(settings, name)
+    }
+    return Subject(
+        id=name,
+        cohort=person["cohort"],
+        sex=person["sex"],
+        age_years=person["age_years"],
+        mass_kg=person["mass_kg"],
+        height_m=person["height_m"],
+        waist_m=person["waist_m"],
+        tightness=dict(person["tightness"]),
+        markers={},
+        exclude={},
+        trials=trials,
+        folder=folder,
+        phantom=True,
+    )

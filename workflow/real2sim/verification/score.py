@@ -1,0 +1,508 @@
+"""Score of a suite: the only code that opens the seal. It compares answers with the truth and judges nothing else."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from statsmodels.stats.proportion import proportion_confint
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.diagnosis.decide import NONE, UNKNOWN
+from real2sim.effects.catalogue import EFFECT_NAMES, GROUPS
+from real2sim.inference.identifiability import DETERMINED
+
+Row = dict[str, Any]
+
+# Family of each effect: where another equation of the same family is the truth, its name is right
+LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
+# Visibilities from which a case counts as one of 0.2 and more, and as one of 0.05: half-way on a logarithmic scale
+CLEAR, FAINT = 0.1, 0.025
+# A regime of four holds the gap where it holds more than it would if the gap were everywhere alike
+_REGIME_SHARE = 0.25
+# Share of the floor below which J shows no gap that could be closed
+_SMALLEST_GAP = 0.02
+# An effect is diagnosable at a visibility at which so many of its cases are named first
+_DIAGNOSABLE = 0.8
+
+
+def _truth_names(case: Row) -> list[str]:
+    """Library names that are right for a case: none or unknown where no effect of the library is in it."""
+    if case["stratum"].startswith("null"):
+        return [NONE]
+    if case["stratum"] == "out_of_library":
+        return [UNKNOWN]
+    return [effect.get("family") or effect["effect"] for effect in case["effects"]]
+
+
+def _rows(answers: Sequence[Path], truths: Sequence[Path]) -> list[Row]:
+    sealed = {case["id"]: case for path in truths for case in read_json(path, ("cases",))["cases"]}
+    rows = []
+    for listed in answers:
+        for name in read_json(listed, ("answers",))["answers"]:
+            answer = read_json(Path(name), ("subject", "verdict", "probabilities"))
+            case = sealed[answer["subject"]]
+            seconds = read_json(Path(name).with_name("seconds.json"), ("seconds",))["seconds"]
+            rows.append({"case": case, "answer": answer, "names": _truth_names(case), "seconds": seconds})
+    return rows
+
+
+def _group_of(name: str) -> tuple[str, ...]:
+    return next((members for members in GROUPS.values() if name in members), (name,))
+
+
+def _ranked(row: Row) -> list[str]:
+    p = row["answer"]["probabilities"]
+    return sorted(p, key=lambda name: -p[name])
+
+
+def _claim(name: str, hits: Sequence[bool], target: str, met: Callable[[float], bool] | None) -> Row:
+    """One line of the target table: a rate with its Wilson interval; ``met`` is None where it has no target."""
+    n = len(hits)
+    if n == 0:
+        return _figure(name, None, 0, target, None if met is None else False)
+    count = int(np.sum(hits))
+    low, high = proportion_confint(count, n, method="wilson")
+    return {
+        "claim": name,
+        "value": count / n,
+        "n": n,
+        "wilson95": [float(low), float(high)],
+        "target": target,
+        "met": None if met is None else bool(met(count / n)),
+    }
+
+
+def _figure(name: str, value: float | None, n: int, target: str, met: bool | None) -> Row:
+    met = None if met is None else bool(met)
+    return {"claim": name, "value": value, "n": n, "wilson95": None, "target": target, "met": met}
+
+
+def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out: Path) -> None:
+    """Compare the answers of a suite with its sealed truth; every row of the target table of the design.
+
+    ``answers`` are what `suite.diagnose_cases` wrote, ``truths`` the sealed files of the same shards.
+    """
+    rows = _rows(answers, truths)
+    by = {
+        stratum: [r for r in rows if r["case"]["stratum"] == stratum]
+        for stratum in ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
+    }
+    nulls = by["null"] + by["null_hard"]
+    write_json(
+        out,
+        {
+            "schema": 1,
+            "suite": suite,
+            "phantom": True,
+            "cases": len(rows),
+            "targets": _targets(by, nulls),
+            "confusion": _confusion(rows),
+            "power": _power(by["in_library"]),
+            "per_effect": _per_effect(by["in_library"]),
+            "calibration": _calibration(rows),
+            "gap_closed": [g for r in by["in_library"] if (g := _gap_closed(r)) is not None],
+            "baselines": _baselines(rows, by),
+            "time_s": {
+                "median": float(np.median([r["seconds"] for r in rows])),
+                "max": float(np.max([r["seconds"] for r in rows])),
+            },
+            "wrong": [_wrong(r) for r in rows if r["answer"]["verdict"] not in r["names"]],
+        },
+    )
+
+
+def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
+    library = by["in_library"]
+    # by the visibility that the phantom reached: some effects cannot be made as visible as was asked for
+    clear = [r for r in library if _reached(r) >= CLEAR]
+    faint = [r for r in library if FAINT <= _reached(r) < CLEAR]
+    hidden = [r for r in library if _reached(r) < FAINT]
+    strange, mixed, other = by["out_of_library"], by["mixture"], by["form_mismatch"]
+
+    def top(rows: list[Row]) -> list[bool]:
+        return [r["answer"]["verdict"] in r["names"] for r in rows]
+
+    def grouped(rows: list[Row]) -> list[bool]:
+        return [r["answer"]["verdict"] in _group_of(r["names"][0]) for r in rows]
+
+    def among(rows: list[Row], k: int) -> list[bool]:
+        return [set(r["names"]) <= set(_ranked(r)[:k]) for r in rows]
+
+    def exact(rows: list[Row]) -> list[bool]:
+        return [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in rows]
+
+    # creep of a short trial is swallowed by the refit however strong it is, and leaves nothing to name
+    seen = [r for r in mixed if min(_alone(r)) >= FAINT]
+    named = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in strange]
+    answered = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in clear]
+    sure = [r for r in faint if max(r["answer"]["probabilities"].values()) > 0.9]
+    gaps = np.array([g for r in library if (g := _gap_closed(r)) is not None])
+    floored = np.array([g for r in library if (g := _gap_closed_of_floor(r)) is not None])
+    worse = [g < 0 for g in gaps]
+    axes = [r for r in library if r["case"]["effects"][0]["axes"]]
+    stages = [
+        r["answer"]["where"]["stage"] == r["case"]["effects"][0]["stage"]
+        for r in library
+        if r["case"]["effects"][0].get("stage")
+    ]
+    regime = [r for r in library if r["case"].get("regimes") and r["answer"]["where"].get("regimes")]
+    f1 = _regime_f1(regime)
+    cut = [c for r in library if (c := _parameter_cut(r)) is not None]
+    sure_cut = [c for r in library if (c := _parameter_cut(r, determined=True)) is not None]
+    kept = [c for r in nulls if (c := _parameter_cut(r)) is not None]
+    calibration = _calibration([r for rows in by.values() for r in rows])
+    alarms = sum(r["answer"]["verdict"] != NONE for r in nulls)
+    allowed = max(2 * len(nulls) / 150, 0)
+    median = float(np.median(gaps)) if len(gaps) else None
+    tenth = float(np.quantile(gaps, 0.1)) if len(gaps) else None
+    cut_median = float(np.median(cut)) if cut else None
+    kept_median = float(np.median([1 / k for k in kept])) if kept else None
+    return [
+        _claim("cause, top-1, rho >= 0.2", top(clear), ">= 90 %", lambda v: v >= 0.90),
+        _claim("ambiguity group, rho >= 0.2", grouped(clear), ">= 97 %", lambda v: v >= 0.97),
+        _claim("top-3, rho >= 0.2", among(clear, 3), ">= 98 %", lambda v: v >= 0.98),
+        _claim("top-1, rho = 0.05", top(faint), ">= 60 %", lambda v: v >= 0.60),
+        _claim(
+            "right where surer than 90 %, rho = 0.05", top(sure), "never over-confident", lambda v: v >= 0.9
+        ),
+        _claim("top-1, rho below 0.025: less than was asked for", top(hidden), "none", None),
+        _claim(
+            "false alarm on null",
+            [r["answer"]["verdict"] != NONE for r in nulls],
+            "<= 2 of 150",
+            lambda v: alarms <= allowed,
+        ),
+        _claim(
+            "out of library: unknown",
+            [r["answer"]["verdict"] == UNKNOWN for r in strange],
+            ">= 85 %",
+            lambda v: v >= 0.85,
+        ),
+        _claim("out of library: a wrong name", named, "<= 10 %", lambda v: v <= 0.10),
+        _claim("in library, rho >= 0.2: answered", answered, ">= 90 %", lambda v: v >= 0.90),
+        _claim("form mismatch: family", top(other), ">= 85 %", lambda v: v >= 0.85),
+        _claim("mixture: both in the top 3", among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
+        _claim("mixture: exact set", exact(mixed), ">= 65 %", lambda v: v >= 0.65),
+        _claim(
+            "mixture of two that each can be seen: both in the top 3",
+            among(seen, 3),
+            "none: rho of each alone is 0.025 and more",
+            None,
+        ),
+        _claim(
+            "mixture of two that each can be seen: exact set",
+            exact(seen),
+            "none: rho of each alone is 0.025 and more",
+            None,
+        ),
+        _claim("where: stage", stages, ">= 97 %", lambda v: v >= 0.97),
+        _claim("where: axis", [_axis_right(r) for r in axes], ">= 95 %", lambda v: v >= 0.95),
+        _figure("where: regime F1", f1, len(regime), ">= 0.85", f1 is not None and f1 >= 0.85),
+        _figure(
+            "gap closed on the held-out regime, median",
+            median,
+            len(gaps),
+            ">= 95 %",
+            median is not None and median >= 0.95,
+        ),
+        _figure(
+            "gap closed, 10th percentile", tenth, len(gaps), ">= 75 %", tenth is not None and tenth >= 0.75
+        ),
+        _claim("made worse", worse, "<= 2 %", lambda v: v <= 0.02),
+        _figure(
+            "gap closed of what lies above the estimated floor, median",
+            float(np.median(floored)) if len(floored) else None,
+            len(floored),
+            "none: the floor is known to 10 %",
+            None,
+        ),
+        _figure(
+            "RMS ln-error of K, D cut by (median)",
+            cut_median,
+            len(cut),
+            ">= 4 x",
+            cut_median is not None and cut_median >= 4,
+        ),
+        _figure(
+            "RMS ln-error of the determined K, D cut by (median)",
+            float(np.median(sure_cut)) if sure_cut else None,
+            len(sure_cut),
+            "none: what the answer calls determined",
+            None,
+        ),
+        _claim(
+            "95 % intervals of the determined K, D hold the truth",
+            [hit for r in library + nulls if r["answer"]["verdict"] in r["names"] for hit in _held(r)],
+            "none: 95 % were right",
+            None,
+        ),
+        _figure(
+            "RMS ln-error of K, D on null, times (median)",
+            kept_median,
+            len(kept),
+            "<= 1.05 x",
+            kept_median is not None and kept_median <= 1.05,
+        ),
+        _figure(
+            "expected calibration error",
+            calibration["ece"],
+            len(library),
+            "<= 0.05",
+            calibration["ece"] <= 0.05,
+        ),
+        _figure(
+            "90 % sets: coverage",
+            calibration["set90_coverage"],
+            len(library),
+            "88-93 %",
+            0.88 <= calibration["set90_coverage"] <= 0.93,
+        ),
+        _figure(
+            "90 % sets: mean size",
+            calibration["set90_mean_size"],
+            len(library),
+            "<= 2",
+            calibration["set90_mean_size"] <= 2,
+        ),
+    ]
+
+
+def _axis_right(row: Row) -> bool:
+    axes = row["answer"]["where"]["axes"]
+    return max(axes, key=lambda a: axes[a]) in row["case"]["effects"][0]["axes"]
+
+
+def _regime_f1(rows: list[Row]) -> float | None:
+    """F1 of the regimes (amplitude by speed) that hold the gap, all cases together."""
+    right = claimed = true = 0
+    for row in rows:
+        shares: dict[str, float] = {}
+        for entry in row["answer"]["where"]["regimes"]:
+            # the answer parts each regime by phase, too
+            name = ", ".join(entry["bin"].split(", ")[:2])
+            shares[name] = shares.get(name, 0.0) + entry["share"]
+        said = {name for name, share in shares.items() if share >= _REGIME_SHARE}
+        is_so = {name for name, share in row["case"]["regimes"].items() if share >= _REGIME_SHARE}
+        right, claimed, true = right + len(said & is_so), claimed + len(said), true + len(is_so)
+    return 2 * right / (claimed + true) if claimed + true else None
+
+
+def _gap_closed(row: Row) -> float | None:
+    """Share of the gap on the trial that shows it that the answer closes, of what the oracle closes on the same data.
+
+    That is the held-out trial, unless it shows none. The oracle knows the true structure: the best there of all refits
+    that hold the true effects and no others. Where the truth was never refitted, the estimated floor stands for it. The
+    oracle is fitted by the same search, so a right answer closes all of it: what this counts is wrong answers, and fits
+    worse than another.
+    """
+    truth = set(row["names"])
+    oracle = [h["J"] for h in row["answer"]["considered"] if set(h["effects"]) == truth]
+    return _closed(row, min(oracle, default=row["answer"]["gap"]["J_floor"]))
+
+
+def _gap_closed_of_floor(row: Row) -> float | None:
+    """As `_gap_closed`, of what lies above the noise floor that the diagnosis estimates."""
+    return _closed(row, row["answer"]["gap"]["J_floor"])
+
+
+def _closed(row: Row, least: float) -> float | None:
+    """Share of the way from the plain J to ``least`` that the answer goes; None where J hardly has a gap."""
+    gap = row["answer"]["gap"]
+    closable = gap["J_base"] - least
+    if closable <= _SMALLEST_GAP * gap["J_floor"]:
+        return None
+    return float((gap["J_base"] - gap["J_with_effect"]) / closable)
+
+
+def _value(entry: Any) -> float:
+    """A true parameter, with or without its unit."""
+    return float(entry["value"] if isinstance(entry, dict) else entry)
+
+
+def _held(row: Row) -> list[bool]:
+    """Whether the interval of each parameter that the answer calls determined holds the truth."""
+    truth = row["case"].get("parameters") or {}
+    known = row["answer"]["parameters"]
+    return [
+        known[name]["ci95"][0] <= _value(value) <= known[name]["ci95"][1]
+        for name, value in truth.items()
+        if known.get(name, {}).get("verdict") == DETERMINED
+    ]
+
+
+def _parameter_cut(row: Row, determined: bool = False) -> float | None:
+    """RMS ln-error of the parameters of the plain fit over that of the answer; of all 12, or of the determined ones."""
+    truth = row["case"].get("parameters")
+    if not truth:
+        return None
+    names = row["answer"]["parameters"]
+    if determined:
+        names = {name: p for name, p in names.items() if p.get("verdict") == DETERMINED}
+    if not names:
+        return None
+    errors = {
+        kind: np.sqrt(np.mean([np.log(p[kind] / _value(truth[name])) ** 2 for name, p in names.items()]))
+        for kind in ("base", "with_effect")
+    }
+    return float(errors["base"] / max(errors["with_effect"], 1e-9))
+
+
+def _confusion(rows: list[Row]) -> dict[str, Any]:
+    counts = np.zeros((len(LABELS), len(LABELS)), dtype=int)
+    for row in rows:
+        if len(row["names"]) == 1:
+            counts[LABELS.index(row["names"][0]), LABELS.index(row["answer"]["verdict"])] += 1
+    return {"labels": list(LABELS), "counts": counts.tolist()}
+
+
+def _power(rows: list[Row]) -> list[Row]:
+    out = []
+    for rho in sorted({r["case"]["visibility"]["target"] for r in rows}):
+        hits = [
+            r["answer"]["verdict"] in r["names"] for r in rows if r["case"]["visibility"]["target"] == rho
+        ]
+        low, high = proportion_confint(sum(hits), len(hits), method="wilson")
+        out.append(
+            {"rho": rho, "n": len(hits), "top1": float(np.mean(hits)), "wilson95": [float(low), float(high)]}
+        )
+    return out
+
+
+def _per_effect(rows: list[Row]) -> list[Row]:
+    """Power by effect against visibility, and the smallest visibility and severity at which it is diagnosed."""
+    targets = sorted({r["case"]["visibility"]["target"] for r in rows})
+    edges = [np.sqrt(a * b) for a, b in itertools.pairwise(targets)]
+    out = []
+    for effect in EFFECT_NAMES:
+        own = [r for r in rows if r["names"] == [effect]]
+        if not own:
+            continue
+        bins = [_power_bin([r for r in own if _bin_of(r, edges) == i], effect) for i in range(len(edges) + 1)]
+        bins = [b for b in bins if b["n"]]
+        enough = [b for b in bins if b["top1"] >= _DIAGNOSABLE]
+        out.append(
+            {
+                "effect": effect,
+                "n": len(own),
+                "top1": sum(r["answer"]["verdict"] == effect for r in own),
+                "smallest_rho": enough[0]["rho"] if enough else None,
+                "smallest_severity": enough[0]["severity"] if enough else None,
+                "bins": bins,
+            }
+        )
+    return out
+
+
+def _reached(row: Row) -> float:
+    """Visibility of a case as the phantom has it, as asked for where it does not know."""
+    visibility = row["case"]["visibility"]
+    return float((visibility["target"] if visibility["predicted"] is None else visibility["predicted"]) or 0)
+
+
+def _alone(row: Row) -> list[float]:
+    """Visibility that each effect of a case makes by itself, that of the case where the phantom does not know."""
+    return [float(e.get("visibility", {}).get("alone", _reached(row))) for e in row["case"]["effects"]]
+
+
+def _bin_of(row: Row, edges: Sequence[float]) -> int:
+    return int(np.searchsorted(edges, _reached(row)))
+
+
+def _power_bin(rows: list[Row], effect: str) -> Row:
+    """Cases of one effect at about one visibility: medians of visibility and severity, share named first.
+
+    Severity is the share of the largest magnitude that the suite draws.
+    """
+    reached = [v for r in rows if (v := r["case"]["visibility"]["predicted"]) is not None]
+    severity = [v for r in rows if (v := r["case"]["effects"][0].get("severity")) is not None]
+    return {
+        "rho": float(np.median(reached)) if reached else None,
+        "severity": float(np.median(severity)) if severity else None,
+        "n": len(rows),
+        "top1": float(np.mean([r["answer"]["verdict"] == effect for r in rows])) if rows else None,
+    }
+
+
+def _calibration(rows: list[Row]) -> dict[str, Any]:
+    """Reliability of the verdicts' probabilities, and of sets that hold 90 % of the probability."""
+    rows = [r for r in rows if len(r["names"]) == 1]
+    p = np.array([r["answer"]["probabilities"][r["answer"]["verdict"]] for r in rows])
+    right = np.array([r["answer"]["verdict"] in r["names"] for r in rows], dtype=float)
+    bins, ece = [], 0.0
+    for low in np.arange(0.0, 1.0, 0.1):
+        inside = (p > low) & (p <= low + 0.1)
+        if inside.any():
+            mean, fraction = float(p[inside].mean()), float(right[inside].mean())
+            ece += inside.mean() * abs(mean - fraction)
+            bins.append(
+                {
+                    "from": float(low),
+                    "to": float(low + 0.1),
+                    "n": int(inside.sum()),
+                    "mean_probability": mean,
+                    "fraction_true": fraction,
+                }
+            )
+    sizes, covered = [], []
+    for row in rows:
+        total, members = 0.0, []
+        for name in _ranked(row):
+            members.append(name)
+            total += row["answer"]["probabilities"][name]
+            if total >= 0.9:
+                break
+        sizes.append(len(members))
+        covered.append(row["names"][0] in members)
+    return {
+        "bins": bins,
+        "ece": float(ece),
+        "set90_coverage": float(np.mean(covered)) if covered else 0.0,
+        "set90_mean_size": float(np.mean(sizes)) if sizes else 0.0,
+    }
+
+
+def _baseline(name: str) -> Callable[[Row], str]:
+    return lambda row: str(row["answer"].get("baselines", {}).get(name, NONE))
+
+
+def _baselines(rows: list[Row], by: dict[str, list[Row]]) -> list[Row]:
+    """What simpler rules say of the same fits, which are stored with every answer, beside the diagnosis itself."""
+    names = sorted({name for r in rows for name in r["answer"].get("baselines", {})})
+    rules: dict[str, Callable[[Row], str]] = {
+        "this diagnosis": lambda r: r["answer"]["verdict"],
+        "always none": lambda r: NONE,
+        **{name: _baseline(name) for name in names},
+    }
+    strange = by["out_of_library"]
+    single = [r for r in rows if len(r["names"]) == 1]
+
+    def share(hits: list[bool]) -> float:
+        return float(np.mean(hits)) if hits else 0.0
+
+    return [
+        {
+            "name": name,
+            "top1": share([rule(r) in r["names"] for r in by["in_library"]]),
+            "false_alarm": share([rule(r) != NONE for r in by["null"] + by["null_hard"]]),
+            "wrong_name_out_of_library": share([rule(r) not in (NONE, UNKNOWN) for r in strange]),
+            "right_of_all": share([rule(r) in r["names"] for r in single]),
+        }
+        for name, rule in rules.items()
+    ]
+
+
+def _wrong(row: Row) -> Row:
+    answer = row["answer"]
+    return {
+        "case": row["case"]["id"],
+        "stratum": row["case"]["stratum"],
+        "truth": row["names"],
+        "forms": [effect.get("form") for effect in row["case"]["effects"]],
+        "verdict": answer["verdict"],
+        "probabilities": {k: round(v, 3) for k, v in answer["probabilities"].items() if v > 0.02},
+        "visibility": row["case"]["visibility"],
+    }

@@ -50,6 +50,10 @@ def _with_defaults(schema: dict, value: Any) -> Any:
                 filled[key] = {}
             if key in filled:
                 filled[key] = _with_defaults(sub, filled[key])
+        named = schema.get("additionalProperties")
+        if isinstance(named, dict):
+            for key in filled.keys() - properties.keys():
+                filled[key] = _with_defaults(named, filled[key])
         return filled
     return value
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from real2sim.diagnosis.export import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.planned import DrivenForce
+from real2sim.study.diagnosis_model import CHAIN, NATIVE, PLANNED, described, effects_of, kind
 from real2sim.system.effect_replay import EffectReplay
 from real2sim.system.export import baked, to_mjcf
 

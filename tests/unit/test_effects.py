@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from real2sim.diagnosis import evidence
 from real2sim.diagnosis.refit import JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects import chains
@@ -18,8 +17,8 @@ from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reacti
 from real2sim.effects.memory import bouc_wen, eyring, maxwell
 from real2sim.effects.planned import PlannedForce
 from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
-from real2sim.inference.parameters import Bounds
 from real2sim.signals import lowpass
+from real2sim.study import strap_evidence
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.system.replay import servo_command
 from real2sim.verification.suite.plan import EFFECTS as SUITE_EFFECTS
@@ -30,6 +29,7 @@ from tests.unit.simulated_effects import (
     HALF,
     LEVEL,
     SCALES,
+    about,
     at_rest_on,
     pelvis_at_start,
     placed_whole,
@@ -242,7 +242,7 @@ class Recorded:
 
 def test_an_offset_of_each_trial_is_fitted_to_its_own_trial():
     """Two camera groups that are started by hand: the held-out trial says its offset itself, and nothing else."""
-    pair = Pair(Recorded(0.05, held_out=False), Recorded(-0.03, held_out=True), Bounds(PRIOR / 3, PRIOR * 3))
+    pair = Pair(Recorded(0.05, held_out=False), Recorded(-0.03, held_out=True), about(PRIOR))
     search = Search(pair, CONFIG["diagnosis"]["search"])
     own = placed_whole("sync_offset", "each_trial")
     found = search.fit((own,), np.concatenate([np.log(PRIOR), own.starts()[0]]))
@@ -252,7 +252,7 @@ def test_an_offset_of_each_trial_is_fitted_to_its_own_trial():
     common = search.fit((both,), np.concatenate([np.log(PRIOR), both.starts()[0]]))
     assert common.chi2[1] > 100 * found.chi2[1]
     of_train, of_other = (
-        JointResiduals(trial, (both, own), pair.bounds).free for trial in (pair.train, pair.held_out)
+        JointResiduals(trial, (both, own), pair.system).free for trial in (pair.train, pair.held_out)
     )
     assert list(of_train) == list(range(14))
     assert list(of_other) == [14]
@@ -751,7 +751,7 @@ def test_what_a_flowing_branch_plans_is_what_it_differs_from_its_linear_one():
 
 
 def test_a_robot_that_starts_elsewhere_is_a_start_pose_that_was_misjudged(plain):
-    placed = Placed(evidence._START, Where((), 0, "", "start"), SCALES)
+    placed = Placed(strap_evidence._START, Where((), 0, "", "start"), SCALES)
     moved = replay([placed], nsim=2)
     x = np.zeros((2, 6))
     x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]

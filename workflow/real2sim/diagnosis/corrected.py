@@ -54,12 +54,12 @@ def corrected(
     The strap's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
     simulation does not bear a step, it stops there.
     """
-    problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
+    problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     everything = np.arange(len(hypothesis.z))
     shaken = pair.train.shaken(draws, seed)
 
     def noise(point: np.ndarray) -> np.ndarray:
-        return pair.train.whiten(shaken(np.exp(point)))
+        return pair.train.whiten(shaken(pair.system.values(point)))
 
     z = hypothesis.z.copy()
     seen, there = np.full(12, np.inf), (np.empty(0), np.empty((0, 0)))

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.diagnosis.stage import diagnose
 from real2sim.errors import InputError
 from real2sim.provenance import fingerprint, sha256
 from real2sim.recording.ingest import ingest_subject
+from real2sim.study.diagnose import diagnose
 
 TRAIN, HELD_OUT, NEUTRAL = "dynamic_1", "dynamic_2", "neutral"
 

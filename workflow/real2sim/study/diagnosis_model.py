@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.diagnosis.evidence import BALANCE, load_evidence
-from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.evidence import BALANCE
 from real2sim.effects.base import Scales, Where
 from real2sim.effects.catalogue import EFFECTS, Effect, Placed
 from real2sim.effects.planned import DrivenForce
@@ -21,30 +20,13 @@ from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.noise import marker_noise
+from real2sim.study.strap_recording import load_evidence
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 NATIVE, PLANNED, CHAIN = "in the model", "planned force, not in the model", "not a model"
-
-
-def described(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
-    """Everything that makes a fitted set of effects again: the entry ``model`` of diagnosis.json."""
-    return {
-        "effects": [
-            {
-                "effect": placed.effect.name,
-                "form": placed.effect.form,
-                "axes": placed.axes,
-                "side": placed.where.side,
-                "searched": x.tolist(),
-                "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
-            }
-            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True)
-        ],
-        "scales": {name: getattr(scales, name).tolist() for name in _SCALES},
-    }
 
 
 def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[np.ndarray]]:
@@ -125,12 +107,17 @@ def export_model(
     )
     settings = answer["settings"]
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
-    evidence = load_evidence(
-        folder=train, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise
-    )
     effects, x = effects_of(answer["model"], diagnosis)
-    evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
-    evidence.settled = answer["robot_holds"] == BALANCE
+    scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
+    evidence = load_evidence(
+        folder=train,
+        neutral=neutral,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        sd=noise,
+        settled=answer["robot_holds"] == BALANCE,
+    ).with_scales(scales)
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])

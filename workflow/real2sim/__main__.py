@@ -14,7 +14,7 @@ import sys
 import traceback
 import types
 from collections.abc import Callable, Sequence
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 COMMANDS = {
     "phantom": "real2sim.verification.phantom.cohort:write_subject",
@@ -156,5 +156,10 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-if __name__ == "__main__":
+def entry() -> NoReturn:
+    """Run the console script ``real2sim`` and end the process with the stage's exit code."""
     sys.exit(main(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    entry()

@@ -13,7 +13,7 @@ import yaml
 
 from real2sim.errors import InputError
 
-SCHEMAS = Path(__file__).parents[1] / "schemas"
+SCHEMAS = Path(__file__).parent / "schemas"
 
 
 def read_yaml(path: Path) -> Any:
@@ -90,7 +90,7 @@ def _explain(error: jsonschema.ValidationError, schema: dict, source: Path) -> I
 
 
 def validated(content: Any, schema_name: str, source: Path) -> dict:
-    """Fill in defaults and check against ``workflow/schemas/<schema_name>.schema.yaml``.
+    """Fill in defaults and check against ``schemas/<schema_name>.schema.yaml``.
 
     Raises
     ------

@@ -41,7 +41,7 @@ from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
+from real2sim.inference.identifiability import interval_verdict
 from real2sim.inference.noise_floor import block_bootstrap_mean
 from real2sim.inference.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
@@ -393,7 +393,7 @@ def _of_both_holds(
 
 
 def _floor_draws(shown: Evidence) -> np.ndarray:
-    """J (draws,) of noise alone on a trial."""
+    """J (draws,) of noise alone on a trial: simulated, where `floor_of` measures it in quiet standing."""
     assert shown.noise is not None
     noise = shown.noise[:, :, :6]
     return np.asarray(shown.cost.energy(noise.reshape(*noise.shape[:2], 2, 3)))
@@ -695,12 +695,13 @@ def strap_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: d
     near = limits["at_bound_ln"]
     out = []
     for value, s, b, low, high in zip(hypothesis.z[:12], sd, bias, lower, upper, strict=True):
-        if s > limits["weak_sd_ln"]:
-            verdict = NOT_DETERMINED
-        elif value - low < near or high - value < near:
-            verdict = AT_BOUND
-        else:
-            verdict = WEAK if max(s, abs(b)) > limits["determined_sd_ln"] else DETERMINED
+        verdict = interval_verdict(
+            float(s),
+            float(b),
+            too_wide=bool(s > limits["weak_sd_ln"]),
+            at_bound=bool(value - low < near or high - value < near),
+            determined_sd_ln=limits["determined_sd_ln"],
+        )
         ends = np.clip([value - b - 1.96 * s, value - b + 1.96 * s], low, high)
         told = abs(b) > s and s < limits["weak_sd_ln"]
         unbiased = np.clip(value - b, low, high) if told else value

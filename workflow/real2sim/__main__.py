@@ -31,7 +31,7 @@ COMMANDS = {
     "fit": "real2sim.study.fit:fit_trial",
     "assessment": "real2sim.study.assessment:assessment",
     "assessment-table": "real2sim.study.assessment:assessment_table",
-    "noise-floor": "real2sim.inference.noise_floor:noise_floor",
+    "noise-floor": "real2sim.study.noise_floor:noise_floor",
     "cross-trial": "real2sim.study.transfer:cross_trial",
     "loso": "real2sim.study.transfer:loso_subject",
     "loso-table": "real2sim.study.statistics.loso:loso_table",
@@ -83,7 +83,8 @@ def module_of(command: str) -> str:
 
 def _load(command: str) -> Callable[..., None]:
     module, name = COMMANDS[command].split(":")
-    return getattr(importlib.import_module(module), name)
+    function: Callable[..., None] = getattr(importlib.import_module(module), name)
+    return function
 
 
 def _json(text: str) -> Any:

@@ -6,6 +6,10 @@ a tenth. The cost that noise adds on average is simulated and taken off, and so 
 parameter: the corrected score of Stefanski (Commun. Stat. Theory 14, 1985) and Nakamura (Biometrika 77, 1990), with
 simulated draws for its expectation. The corrected point scatters with the draws; it says how far a fit can be
 trusted, and is no fit itself.
+
+`inference.identifiability.corrected_fit` does the same for a fit of J by itself. Two implementations stand because
+their information differs: residuals of J are correlated in time, so its covariance needs the long-run scores of each
+sample, while residuals here are whitened and carry the parameters of effects and prior rows beside the twelve.
 """
 
 from __future__ import annotations

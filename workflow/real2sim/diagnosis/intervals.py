@@ -11,7 +11,7 @@ from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import Placed
-from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
+from real2sim.inference.identifiability import interval_verdict
 
 # No searched parameter is known better than this (SD): a plant with the step of the diagnosis errs as much, measured on
 # the phantom, whose integrator is another (docs/diagnosis.md)
@@ -57,22 +57,18 @@ def parameter_verdicts(
         ends = np.clip([value - b - 1.96 * s, value - b + 1.96 * s], lower[i], upper[i])
         told = abs(b) > s and s < limits["weak_sd_ln"]
         unbiased = np.clip(value - b, lower[i], upper[i]) if told else value
-        verdict = _verdict(value, s, b, (lower[i], upper[i]), limits)
+        near = limits["at_bound_ln"]
+        verdict = interval_verdict(
+            float(s),
+            float(b),
+            too_wide=bool(s > limits["weak_sd_ln"]),
+            at_bound=bool(value - lower[i] < near or upper[i] - value < near),
+            determined_sd_ln=limits["determined_sd_ln"],
+        )
         si = np.exp if pair.system.parameters[i].log else np.asarray
         low, high = si(ends)
         out.append(Known(float(si(unbiased)), (float(low), float(high)), float(b), verdict))
     return out
-
-
-def _verdict(
-    value: float, sd: float, bias: float, bounds: tuple[float, float], limits: dict[str, float]
-) -> str:
-    near = limits["at_bound_ln"]
-    if sd > limits["weak_sd_ln"]:
-        return NOT_DETERMINED
-    if value - bounds[0] < near or bounds[1] - value < near:
-        return AT_BOUND
-    return WEAK if max(sd, abs(bias)) > limits["determined_sd_ln"] else DETERMINED
 
 
 def effect_intervals(pair: Pair, hypothesis: Hypothesis, placed: Placed) -> list[tuple[float, float]]:

@@ -18,7 +18,7 @@ from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS
-from real2sim.provenance import fingerprint, provenance
+from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import marker_noise
 from real2sim.study.strap_recording import load_evidence
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
@@ -197,9 +197,7 @@ def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str,
     ]
 
 
-def _texts(
-    answer: dict[str, Any], about: Sequence[dict[str, Any]], sources: dict[str, Any]
-) -> dict[str, str]:
+def _texts(answer: dict[str, Any], about: Sequence[dict[str, Any]], sources: Provenance) -> dict[str, str]:
     texts = {
         "subject": answer["subject"],
         "verdict": _verdict(answer),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from real2sim.verification.phantom.physics import PelvisPath
+from real2sim.verification.phantom.physics import PelvisPath, Poses
 
 
 def smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +25,8 @@ def smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def smooth_integral(s: np.ndarray) -> np.ndarray:
     """Integral of the septic step from 0 to s, for s in [0, 1]."""
     s = np.clip(s, 0.0, 1.0)
-    return 7 * s**5 - 14 * s**6 + 10 * s**7 - 2.5 * s**8
+    integral: np.ndarray = 7 * s**5 - 14 * s**6 + 10 * s**7 - 2.5 * s**8
+    return integral
 
 
 @dataclass
@@ -103,7 +104,7 @@ def pelvis_path(
     tilted = turn.T @ rest_rotation
     pivot_rest = rest_position + rest_rotation @ pivot
 
-    def evaluate(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(t: np.ndarray) -> Poses:
         u, du = motion(t)
         (cr, sr), (cp, sp), (cy, sy) = (_axes(u[:, i]) for i in (3, 4, 5))
         rotation = np.empty((len(t), 3, 3))

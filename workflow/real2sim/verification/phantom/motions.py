@@ -9,6 +9,7 @@ differentiable.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -83,19 +84,28 @@ class Motion:
         return self.speed * (duration * smooth_integral(s) + np.maximum(t - start - duration, 0.0))
 
 
+class PelvisMotion(Protocol):
+    """Six coordinates (m, 6) and their rates (m, 6) at times t (m,) [s], as `Motion` gives them."""
+
+    duration_s: float
+
+    def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates and rates [SI]."""
+
+
 def _axes(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.cos(angle), np.sin(angle)
 
 
 def pelvis_path(
-    motion: Motion,
+    motion: PelvisMotion,
     heading: float,
     rest_rotation: np.ndarray,
     rest_position: np.ndarray,
     pivot: np.ndarray,
     tail_s: float,
 ) -> PelvisPath:
-    """World path of a pelvis that starts at (``rest_rotation`` (3, 3), ``rest_position`` (3,)).
+    """Return the world path of a pelvis that starts at (``rest_rotation`` (3, 3), ``rest_position`` (3,)).
 
     ``heading`` [rad] turns the motion's x axis; ``pivot`` (3,) [m] is the turning point in pelvis axes.
     """

@@ -82,7 +82,7 @@ def interface_pose(centres: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.
 
 @dataclass
 class _Spline:
-    """A motion through sampled poses, with the interface of `motions.Motion`."""
+    """A motion through sampled poses, a `motions.PelvisMotion`."""
 
     curve: CubicSpline
     duration_s: float
@@ -101,7 +101,7 @@ def replayed_path(markers: Markers, rate_hz: float) -> PelvisPath:
     pose = np.hstack([position - position[0], np.unwrap(angles, axis=0)])
     time_s = np.arange(len(pose)) / rate_hz
     motion = _Spline(CubicSpline(time_s, pose), len(pose) / rate_hz)
-    return pelvis_path(motion, 0.0, rotation[0], position[0], np.zeros(3), 0.0)  # type: ignore[arg-type]
+    return pelvis_path(motion, 0.0, rotation[0], position[0], np.zeros(3), 0.0)
 
 
 def low_pass(values: np.ndarray, rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> np.ndarray:

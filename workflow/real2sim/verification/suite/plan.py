@@ -44,7 +44,7 @@ EFFECTS = (
     "outliers",
 )
 
-# Effects that kinematics alone can hardly tell apart (effects.md): a mixture takes no two of one group
+# Effects that kinematics alone can hardly tell apart: a mixture takes no two of one group
 GROUPS = (
     ("replay_lag", "sync_offset", "filter_lag", "clock_drift"),
     ("one_sided", "preload", "tilt", "marker_offset", "asymmetric_stiffness"),
@@ -74,7 +74,8 @@ class Case:
 
 def shards(suite: dict[str, Any]) -> int:
     """Number of shards of a suite."""
-    return -(-sum(suite["cases"].values()) // suite["shard_cases"])
+    count: int = -(-sum(suite["cases"].values()) // suite["shard_cases"])
+    return count
 
 
 def case_names(suite: dict[str, Any], shard: int) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.chains import Context, markers_of
+from real2sim.system.description import shipped_system
 from real2sim.system.effect_replay import EffectReplay
 from real2sim.system.plant import RestPose
 
@@ -19,6 +20,7 @@ SCALES = Scales(
     PRIOR[6:],
     np.array([65.0, 35.0, 7.0, 0.24, 0.22, 4.0]),
 )
+STRAP = shipped_system("strap")
 # Interface markers are so far from their middle [m]
 HALF = 0.17
 Pose = tuple[np.ndarray, np.ndarray]
@@ -96,7 +98,7 @@ def pelvis_at_start() -> Pose:
 
 def placed_whole(name: str, form: str = "") -> Placed:
     effect = next(e for e in EFFECTS if e.name == name and e.form == form)
-    return Placed(effect, effect.places()[0], SCALES)
+    return Placed(effect, effect.places(STRAP)[0], SCALES)
 
 
 def undriven(model: EffectReplay) -> mujoco.MjModel:

@@ -20,9 +20,9 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
-from real2sim.effects.base import Scales, Where
-from real2sim.effects.catalogue import EFFECTS, Effect, EffectParameter, Placed
-from real2sim.effects.chains import Context, Elsewhere, markers_of
+from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.chains import Chains, Context, Elsewhere, markers_of
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
@@ -39,6 +39,7 @@ from real2sim.recording.tables import (
     without_filled,
 )
 from real2sim.recording.trial import Trial, load_limits, load_trial, replay_inputs
+from real2sim.system.description import shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.effect_replay import EffectReplay, InputBasis
 from real2sim.system.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
@@ -56,22 +57,17 @@ LOG_CUTOFF_HZ = 5.0
 LOWEST_CUTOFF_HZ = 3.0
 # Most parts of a time step while a cause is only searched for
 COARSE = 2
-# A strap that rests elsewhere along one axis, and a robot that starts elsewhere
-_RESTS = [
-    (effect, where)
-    for effect in EFFECTS
-    if effect.name == "preload" and not effect.form
-    for where in effect.places()
-]
+# A rest pose that differs along one axis, and a start pose that differs from the observed one
+_REST = next(effect for effect in EFFECTS if effect.name == "preload" and not effect.form)
 _START = Effect(
     "start",
     "robot",
-    "the robot stands elsewhere at the start than it was seen",
+    "the start pose of the robot differs from the observed one",
     tuple(EffectParameter(f"start_{axis}", "m|rad", -1.0, 1.0, (0.0,)) for axis in AXES),
-    "start",
-    "",
+    separating_trial="",
+    at_rest=AtRest((0.0,) * len(AXES)),
     scope="whole",
-    sighting=Elsewhere(),
+    chains=Chains(observation=Elsewhere()),
 )
 # How far the start is moved to learn what that does [m, rad]
 _START_STEP = 1e-3
@@ -151,7 +147,7 @@ class Evidence:
         ``coarse``: at half of the time step at least, which is less exact and costs less.
         """
         trial = self.trial
-        parts = max([1, *(e.effect.substeps for e in effects)])
+        parts = max([1, *(e.effect.plant.substeps for e in effects)])
         h = float(self.settings["plant"]["timestep_s"]) / (min(parts, COARSE) if coarse else parts)
         if h not in self.drives:
             rotation, position = trial.pelvis_rotation, trial.pelvis_position
@@ -362,8 +358,9 @@ class Evidence:
         (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
         for a hold one SD off (`hold_uncertainty`), by robot joint, none for a robot that is let go.
         """
-        effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
-        effects.append(Placed(_START, Where((), 0, "", _START.name), self.scales))
+        strap = shipped_system("strap")
+        effects = [Placed(_REST, where, self.scales) for where in _REST.places(strap)]
+        effects.append(Placed(_START, _START.place(strap), self.scales))
         off = block_diag(*map(np.diag, self.hold_sd)) if self.settled else np.empty((0, 12))
         m = 1 + 2 * 6 + len(off)
         x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]

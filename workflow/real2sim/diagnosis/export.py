@@ -12,21 +12,19 @@ import numpy as np
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.evidence import BALANCE, load_evidence
 from real2sim.diagnosis.refit import Hypothesis
-from real2sim.effects.base import Scales, Where
-from real2sim.effects.catalogue import EFFECTS, Effect, Placed
-from real2sim.effects.planned import DrivenForce
+from real2sim.effects.base import NATIVE, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.errors import InputError
 from real2sim.files import write_text
-from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.noise import marker_noise
+from real2sim.system.description import shipped_system
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
-NATIVE, PLANNED, CHAIN = "in the model", "planned force, not in the model", "not a model"
 
 
 def described(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
@@ -56,29 +54,22 @@ def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[
         Where the catalogue has no such effect (any more).
     """
     scales = Scales(**{name: np.array(model["scales"][name]) for name in _SCALES})
-    placed, x = [], []
+    placed, x, strap = [], [], shipped_system("strap")
     for entry in model["effects"]:
-        where = tuple(AXES.index(axis) for axis in entry["axes"])
+        where = tuple(strap.axis_names.index(axis) for axis in entry["axes"])
         found = [e for e in EFFECTS if (e.name, e.form) == (entry["effect"], entry["form"])]
         if not found or len(found[0].parameters) != len(entry["searched"]):
             raise InputError(
                 source,
                 "model.effects",
                 f"{entry['effect']}{entry['form']} with {len(entry['searched'])} parameters",
-                "an effect of the catalogue (coupling/effects.py)",
+                "an effect of the catalogue (docs/effects.md)",
                 "Run the diagnosis again.",
             )
         effect = found[0]
-        placed.append(Placed(effect, Where(where, entry["side"], effect.form, effect.name), scales))
+        placed.append(Placed(effect, effect.place(strap, where, entry["side"]), scales))
         x.append(np.array(entry["searched"], float))
     return placed, x
-
-
-def kind(effect: Effect) -> str:
-    """Whether an effect is part of a model, a force that is planned for it, or about what goes in and comes out."""
-    if effect.input_chain or effect.output_chain or (effect.sighting and effect.sighting.of_markers):
-        return CHAIN
-    return PLANNED if isinstance(effect.plant, DrivenForce) else NATIVE
 
 
 def export_model(
@@ -154,7 +145,7 @@ def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
     return {
         "effect": effect.name,
         "form": effect.form.strip("_"),
-        "status": kind(effect),
+        "status": effect.exported,
         "axes": placed.axes,
         "side": placed.where.side,
         "equation": effect.equation,

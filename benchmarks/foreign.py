@@ -45,17 +45,19 @@ from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.refit import JointResiduals, refit
 from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.stage import candidates_of
-from real2sim.effects.base import Fields, Scales
-from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Context
-from real2sim.effects.planned import DrivenForce, PlannedForce
 from real2sim.inference.parameters import PARAMETERS, Bounds
+from real2sim.system.description import shipped_system
 from real2sim.system.plant import servo_gains
 
 # A slide that is moved along a path: its mass [kg], what its ends are not trusted for [samples], its band [Hz]
 IMMENSE, EDGE, BAND_HZ = 1e7, 12, (3.0, 120.0)
 # Effects of the whole system that make sense without a robot, a pelvis and a second axis
 _WHOLE = ("added_mass", "sync_offset", "clock_drift", "filter_lag")
+# Whose axis tx the one axis is
+_STRAP = shipped_system("strap")
 _K, _D = PARAMETERS.index("k_tx"), PARAMETERS.index("d_tx")
 
 
@@ -97,7 +99,7 @@ class OneAxisReplay:
 
     def __init__(self, evidence: OneAxisEvidence, effects: Sequence[Placed], nsim: int):
         self.effects, self._evidence = tuple(effects), evidence
-        h = evidence.step_s / max([1, *(placed.effect.substeps for placed in effects)])
+        h = evidence.step_s / max([1, *(placed.effect.plant.substeps for placed in effects)])
         record = evidence.record
         self._stride = round((record.time_s[1] - record.time_s[0]) / h)
         steps = (len(record.time_s) - 1) * self._stride + 1
@@ -123,8 +125,7 @@ class OneAxisReplay:
             type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname="strap_tx"
         )
         for placed in self.effects:
-            if placed.effect.plant is not None:
-                placed.effect.plant.build(spec, placed.where)
+            placed.effect.plant.build(spec, placed.where)
         return spec.compile()
 
     def _drive(self, spec: mujoco.MjSpec) -> None:
@@ -134,7 +135,8 @@ class OneAxisReplay:
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Positions (m, n, 2, 3) [m] along x of both markers, for strap parameters (m, 12) and searched numbers."""
         m, h = len(parameters), self.model.opt.timestep
-        fields = Fields(self._batch, self.model, m, self._evidence.scales)
+        fields = Fields(self._batch, self.model, m, self._evidence.scales, _STRAP)
+        impedance = InterfaceImpedance(parameters[:, :6], parameters[:, 6:])
         dof = fields.dof(0)
         fields["jnt_stiffness"][:, self._joint] = parameters[:, _K]
         fields["dof_damping"][:, dof] = parameters[:, _D]
@@ -146,19 +148,18 @@ class OneAxisReplay:
         self._control[:m, :, 1:] = 0
         for placed, value in zip(self.effects, values, strict=True):
             plant = placed.effect.plant
-            if plant is not None:
-                plant.set(fields, placed.where, parameters, value)
-            if isinstance(plant, PlannedForce):
-                columns = plant.columns(self.model, placed.where)
-                self._control[:m, :, columns] += plant.force(value, self._context, placed.where, parameters)
+            plant.set(fields, placed.where, impedance, value)
+            force = plant.force(value, self._context, placed.where, impedance)
+            if force is not None:
+                self._control[:m, :, plant.columns(self.model, placed.where)] += force
         # MuJoCo takes the inertia of a lone slide as it was compiled
         body = self.model.body("interface").id
         fields["dof_M0"][:, dof] = fields["body_mass"][:, body] + fields["dof_armature"][:, dof]
         paths = np.zeros((m, len(self._context.time_s), 2, 3))
         paths[:, :, :, 0] = self._roll(m)[:, :, None]
         for placed, value in zip(self.effects, values, strict=True):
-            if placed.effect.output_chain is not None and np.isfinite(paths).all():
-                paths = placed.effect.output_chain(paths, value, self._context)
+            if placed.effect.chains.output is not None and np.isfinite(paths).all():
+                paths = placed.effect.chains.output(paths, value, self._context)
         return paths, np.zeros((m, paths.shape[1], 0))
 
     def _roll(self, m: int) -> np.ndarray:
@@ -312,9 +313,9 @@ def places(scales: Scales, moved: bool = False) -> list[Placed]:
     return [
         Placed(effect, where, scales)
         for effect in EFFECTS
-        for where in effect.places()
+        for where in effect.places(_STRAP)
         if where.axes == (0,) or (effect.name in _WHOLE and not (moved and effect.name == "added_mass"))
-        if not isinstance(effect.plant, DrivenForce) or where.axes == (0,)
+        if not effect.plant.planned or where.axes == (0,)
     ]
 
 

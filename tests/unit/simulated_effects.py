@@ -7,9 +7,9 @@ import numpy as np
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.chains import Context, markers_of
+from real2sim.effects.replay import EffectReplay
 from real2sim.study.strap import strap_system
 from real2sim.system.description import System
-from real2sim.system.effect_replay import EffectReplay
 from real2sim.system.plant import RestPose
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
@@ -107,7 +107,7 @@ def pelvis_at_start() -> Pose:
 
 def placed_whole(name: str, form: str = "") -> Placed:
     effect = next(e for e in EFFECTS if e.name == name and e.form == form)
-    return Placed(effect, effect.places()[0], SCALES)
+    return Placed(effect, effect.places(STRAP)[0], SCALES)
 
 
 def undriven(model: EffectReplay) -> mujoco.MjModel:

@@ -20,7 +20,7 @@ from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.study.strap import strap_system
 from real2sim.verification.score import score_diagnosis
 
-from tests.unit.simulated_effects import SCALES
+from tests.unit.simulated_effects import SCALES, STRAP
 from tests.unit.test_coupling import CONFIG, ROBOT
 
 
@@ -148,7 +148,7 @@ def test_what_leaves_far_more_than_noise_is_not_fitted_to_its_last_digit(monkeyp
 
 def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     """Its form is not the likeliest of all sets: two forms of its effect share."""
-    places = {(e.name, e.form): Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    places = {(e.name, e.form): Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     left = {("sync_offset", ""): 2883.0, ("filter_lag", ""): 2880.0, ("filter_lag", "first_order"): 2880.5}
     found = [Hypothesis((places[key],), np.zeros(13), (2880.0, chi2)) for key, chi2 in left.items()]
     attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)

@@ -19,7 +19,7 @@ from real2sim.diagnosis.decide import (
 )
 from real2sim.effects.catalogue import EFFECTS, Placed
 
-from tests.unit.simulated_effects import SCALES
+from tests.unit.simulated_effects import SCALES, STRAP
 from tests.unit.test_coupling import CONFIG
 
 CALIBRATION = CONFIG["diagnosis"]["calibration"]
@@ -89,13 +89,13 @@ def test_noise_that_is_a_little_louder_than_measured_is_no_unknown_cause():
 
 def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue():
     relaxation, creep = (next(e for e in EFFECTS if e.name == name) for name in ("relaxation", "creep"))
-    fast, slow = (Placed(e, e.places()[2], SCALES) for e in (relaxation, creep))
-    elsewhere = Placed(creep, creep.places()[1], SCALES)
+    fast, slow = (Placed(e, e.places(STRAP)[2], SCALES) for e in (relaxation, creep))
+    elsewhere = Placed(creep, creep.places(STRAP)[1], SCALES)
     assert is_makeshift((slow, fast), leaves_noise=True)
     assert not is_makeshift((fast, elsewhere), leaves_noise=False)
     # two time constants are all there is to know where they leave nothing, and a spectrum where they do
     both = next(e for e in EFFECTS if (e.name, e.form) == ("relaxation", "_two_times"))
-    two = Placed(both, both.places()[2], SCALES)
+    two = Placed(both, both.places(STRAP)[2], SCALES)
     assert not is_makeshift((two,), leaves_noise=True)
     assert is_makeshift((two,), leaves_noise=False)
     plain = Candidate((), 0, (90_000.0, 95_000.0))
@@ -112,7 +112,7 @@ def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue(
 def test_three_laws_of_one_axis_are_a_cause_outside_the_catalogue():
     def placed(name: str, axis: int) -> Placed:
         effect = next(e for e in EFFECTS if e.name == name)
-        return Placed(effect, next(w for w in effect.places() if w.axes == (axis,)), SCALES)
+        return Placed(effect, next(w for w in effect.places(STRAP) if w.axes == (axis,)), SCALES)
 
     assert not is_makeshift((placed("migration", 2), placed("joint_limit", 2)), leaves_noise=True)
     assert is_makeshift(

@@ -9,14 +9,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from real2sim.diagnosis.answer import describe_model
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.effects.base import CHAIN, NATIVE, NEUTRAL, PLANNED
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.planned import DrivenForce
-from real2sim.study.diagnosis_model import CHAIN, NATIVE, PLANNED, described, effects_of, kind
-from real2sim.system.effect_replay import EffectReplay
+from real2sim.effects.replay import EffectReplay
+from real2sim.study.diagnosis_model import effects_of
 from real2sim.system.export import baked, to_mjcf
 
-from tests.unit.simulated_effects import LEVEL, SCALES, replay
+from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
 from tests.unit.test_coupling import PRIOR, ROBOT
 
 LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
@@ -24,7 +26,7 @@ LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
 
 def named(name: str, form: str = "", place: int = 0) -> Placed:
     effect = next(e for e in EFFECTS if (e.name, e.form) == (name, form))
-    return Placed(effect, effect.places()[place], LOOSE)
+    return Placed(effect, effect.places(STRAP)[place], LOOSE)
 
 
 def acting(placed: list[Placed], **how) -> tuple[EffectReplay, np.ndarray]:
@@ -49,7 +51,7 @@ def in_plain_mujoco(file: Path, control: np.ndarray) -> np.ndarray:
     return out.reshape(-1, 2, 3)
 
 
-PLANT = [e for e in EFFECTS if e.plant is not None or kind(e) == NATIVE]
+PLANT = [e for e in EFFECTS if e.plant is not NEUTRAL or e.exported == NATIVE]
 
 
 @pytest.mark.parametrize("effect", PLANT, ids=lambda e: f"{e.name}{e.form}")
@@ -90,7 +92,9 @@ def test_the_file_of_a_robot_that_had_come_to_rest_moves_as_the_model_in_process
     assert np.abs(paths[15] - paths[0]).max() < 1e-3
 
 
-@pytest.mark.parametrize("effect", [e for e in EFFECTS if e.sighting], ids=lambda e: f"{e.name}{e.form}")
+@pytest.mark.parametrize(
+    "effect", [e for e in EFFECTS if e.chains.observation], ids=lambda e: f"{e.name}{e.form}"
+)
 def test_a_person_seen_elsewhere_starts_there_in_the_file(effect, tmp_path):
     model, _ = acting([named(effect.name, effect.form)])
     simulated = model.as_simulated()
@@ -158,10 +162,11 @@ def test_a_text_that_gives_another_model_is_an_error():
 
 def test_what_is_no_model_says_what_to_do_instead():
     for effect in EFFECTS:
-        assert (kind(effect) == NATIVE) == (not effect.remedy)
-        assert (kind(effect) == PLANNED) == isinstance(effect.plant, DrivenForce)
-        chains = (effect.input_chain, effect.output_chain, effect.sighting and effect.sighting.of_markers)
-        assert (kind(effect) == CHAIN) == any(chains)
+        assert (effect.exported == NATIVE) == (not effect.remedy)
+        assert (effect.exported == PLANNED) == isinstance(effect.plant, DrivenForce)
+        chains = effect.chains.input, effect.chains.output
+        chains += (effect.chains.observation and effect.chains.observation.of_markers,)
+        assert (effect.exported == CHAIN) == any(chains)
 
 
 def test_a_set_of_effects_is_read_as_it_was_written():
@@ -171,8 +176,8 @@ def test_a_set_of_effects_is_read_as_it_was_written():
         named("marker_drift", "left"),
     )
     z = np.concatenate([np.log(PRIOR), *(p.starts()[0] + 0.01 for p in placed)])
-    written = json.loads(json.dumps(described(Hypothesis(placed, z, (1.0, 1.0)), LOOSE)))
-    again, x = effects_of(written, Path("diagnosis.json"))
+    written = json.loads(json.dumps(describe_model(Hypothesis(placed, z, (1.0, 1.0)), LOOSE)))
+    again, x = effects_of(written, STRAP, Path("diagnosis.json"))
     assert [p.key for p in again] == [p.key for p in placed]
     for p, q, values in zip(placed, again, x, strict=True):
         assert p.effect is q.effect

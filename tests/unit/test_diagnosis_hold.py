@@ -15,13 +15,12 @@ from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Candidate, cost_of_answer
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.effects.base import Where
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.recording.noise import hold_uncertainty
 from real2sim.study import strap_evidence
 from real2sim.system.plant import impedances
 
-from tests.unit.simulated_effects import LEVEL, SCALES, replay
+from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
 from tests.unit.test_coupling import CONFIG, PRIOR, ROBOT
 
 RESTING = (
@@ -42,7 +41,7 @@ def test_a_robot_at_rest_against_its_controller_stays_where_it_is(key):
     pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
     name, _, form = key.partition(" ")
     law = [e for e in EFFECTS if e.name == name and e.form.strip("_") == form][:1]
-    placed = [Placed(e, e.places()[0], SCALES) for e in law]
+    placed = [Placed(e, e.places(STRAP)[0], SCALES) for e in law]
     x = [np.tile(p.starts()[-1], (2, 1)) for p in placed]
     drift = []
     for settled in (False, True):
@@ -56,7 +55,7 @@ def test_a_robot_at_rest_against_its_controller_stays_where_it_is(key):
 def test_where_a_settled_robot_holds_is_kept_from_one_call_to_the_next():
     """Neither what was asked before nor how many go together changes an answer."""
     pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
-    placed = Placed(strap_evidence._START, Where((), 0, "", "start"), SCALES)
+    placed = Placed(strap_evidence._START, strap_evidence._START.place(STRAP), SCALES)
     x = np.zeros((2, 6))
     x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]
     two = np.stack([PRIOR, 1.5 * PRIOR])

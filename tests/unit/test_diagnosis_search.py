@@ -65,7 +65,7 @@ class _Stuck(Search):
 
 def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
-    placed = Placed(effect, effect.places()[0], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
     plain = Hypothesis((), np.zeros(12), (2000.0, 2000.0))
     stuck = np.concatenate([plain.z, [np.log(0.01)]])
     screened = Screened((placed,), 500.0, stuck, _tangent(stuck))
@@ -76,7 +76,7 @@ def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
 
 def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_taken():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
-    placed = Placed(effect, effect.places()[0], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
     far, near = np.append(np.zeros(12), 9.0), np.append(np.zeros(12), np.log(0.3))
     screened = Screened((placed,), 500.0, far, _tangent(near))
     assert _Stuck().fit_screened(screened).chi2 == (100.0, 100.0)
@@ -86,13 +86,13 @@ def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_tak
 def test_a_start_that_is_better_than_what_a_refit_came_to_is_gone_on_from(cost, left):
     effect = next(e for e in EFFECTS if e.name == "coulomb")
     stuck = np.append(np.zeros(12), np.log(0.01))
-    screened = Screened((Placed(effect, effect.places()[0], SCALES),), 500.0, stuck, _tangent(stuck))
+    screened = Screened((Placed(effect, effect.places(STRAP)[0], SCALES),), 500.0, stuck, _tangent(stuck))
     assert _Stuck(0.3, cost).fit_screened(screened).chi2 == (left, left)
 
 
 def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_too():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
-    placed = Placed(effect, effect.places()[1], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[1], SCALES)
     base = np.arange(14.0)
     middle = np.mean(STRAP.bounds(), axis=0)
     z = _fresh_starts(placed, base, STRAP)
@@ -105,7 +105,7 @@ def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_to
 
 
 def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
-    places = {(e.name, e.form): Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    places = {(e.name, e.form): Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     tilt, friction, damping = (places[name, ""] for name in ("tilt", "coulomb", "quadratic_damping"))
     z = np.concatenate([np.zeros(12), [0.0, 0.0], [1.0]])
     found = [Hypothesis((tilt, damping), z, (20_000.0, 20_000.0))]
@@ -150,13 +150,13 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
 def test_every_parameter_of_an_effect_is_free():
     for effect in EFFECTS:
-        lower, upper = Placed(effect, effect.places()[0], SCALES).bounds()
+        lower, upper = Placed(effect, effect.places(STRAP)[0], SCALES).bounds()
         # a range of a few steps of the finite differences would be no search either
         assert np.all(upper - lower > 100 * max(NO_RANGE, STEP)), effect.name
 
 
 def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     slack, outliers = places["slack"], places["outliers"]
     plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
     found = [
@@ -175,7 +175,7 @@ def test_outliers_are_judged_alone_and_beside_the_best_by_jumps_that_are_new():
 
 
 def test_what_stood_for_jumps_is_left_out_beside_them():
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     slack, tilt = places["slack"], places["tilt"]
     plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
     found = [
@@ -192,7 +192,7 @@ def test_what_stood_for_jumps_is_left_out_beside_them():
 
 
 def test_what_a_longer_fit_gains_is_not_put_down_to_jumps():
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     slack = places["slack"]
     plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0))
     cut_short = Hypothesis((slack,), np.zeros(13), (3200.0, 3300.0))
@@ -229,7 +229,7 @@ def _promise(placed: Placed, predicted: float) -> Screened:
 def test_where_there_is_no_gap_a_few_refits_are_enough():
     settings = CONFIG["diagnosis"]["search"]
     plain = Hypothesis((), np.zeros(12), (2800.0, 2800.0))
-    shortlist = [_promise(Placed(e, e.places()[0], SCALES), 2700.0) for e in EFFECTS[:9]]
+    shortlist = [_promise(Placed(e, e.places(STRAP)[0], SCALES), 2700.0) for e in EFFECTS[:9]]
     for quiet, refits in ((True, QUIET_REFITS), (False, len(shortlist))):
         assert len(_alone(_Counting(1.5), shortlist, plain, settings, quiet=quiet)) == refits
 
@@ -237,7 +237,7 @@ def test_where_there_is_no_gap_a_few_refits_are_enough():
 def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
     settings = CONFIG["diagnosis"]["search"]
     plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if not e.form}
     first = ["coulomb", "tilt", "slack", "stiffening", "added_mass"]
     assert len(first) == settings["pair_rivals"]
     search = _Counting(100.0)
@@ -255,7 +255,7 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
 
 def test_all_filters_are_tried_where_a_late_clock_explains_everything():
     plain = Hypothesis((), np.zeros(12), (90_000.0, 90_000.0))
-    whole = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.scope == "whole"]
+    whole = [Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if e.scope == "whole"]
     late = next(p for p in whole if p.effect.name == "sync_offset")
     first = Hypothesis((late,), np.zeros(13), (2500.0, 2500.0))
     search = _Counting(1.0)
@@ -272,7 +272,7 @@ def test_what_explains_nearly_all_needs_no_refit_of_what_promises_a_tenth_of_it(
     settings = CONFIG["diagnosis"]["search"]
     n = 2880.0
     plain = Hypothesis((), np.zeros(12), (90_000.0 + n, 90_000.0 + n))
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if not e.form}
     first = ["coulomb", "tilt", "slack", "stiffening", "added_mass"]
 
     class Leaves(_Counting):
@@ -291,7 +291,7 @@ def test_what_explains_nearly_all_needs_no_refit_of_what_promises_a_tenth_of_it(
 @pytest.mark.parametrize("others", [True, False])
 def test_where_less_is_left_than_a_second_cause_costs_only_axes_of_the_same_are_tried(others):
     settings = CONFIG["diagnosis"]["search"]
-    everything = [Placed(e, where, SCALES) for e in EFFECTS if not e.form for where in e.places()]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS if not e.form for where in e.places(STRAP)]
     coulomb, tilt = (
         Hypothesis((next(p for p in everything if p.effect.name == name),), np.zeros(13), (left, left))
         for name, left in (("coulomb", 4000.0), ("tilt", 9000.0))
@@ -321,7 +321,7 @@ def test_where_less_is_left_than_a_second_cause_costs_only_axes_of_the_same_are_
 
 
 def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
-    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places()]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]
     pair = tuple(
         next(p for p in everything if p.effect.name == "relaxation" and p.where.axes == (axis,))
         for axis in (1, 2)
@@ -348,7 +348,7 @@ def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
 
 
 def test_laws_that_the_tangent_promises_nothing_of_are_tried_on_the_axis_of_the_best():
-    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places()]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]
     law = next(p for p in everything if p.key == "relaxation ty")
 
     class Costs(_Stuck):
@@ -373,7 +373,7 @@ def test_laws_that_the_tangent_promises_nothing_of_are_tried_on_the_axis_of_the_
 
 def test_laws_of_many_constants_are_tried_from_drawn_starts_on_the_axis_of_the_best():
     """LuGre friction of one person was `hysteresis`: its own valley was 1 500 lower than where its one start led."""
-    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places()]
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]
     hysteresis = next(p for p in everything if p.key == "hysteresis ty")
     known = [Hypothesis((hysteresis,), np.append(PRIOR, np.log([0.3, 0.5])), (2600.0, 2800.0))]
     drawn = []
@@ -424,7 +424,7 @@ def test_laws_of_many_constants_are_tried_from_drawn_starts_on_the_axis_of_the_b
 
 def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():
     settings = CONFIG["diagnosis"]["search"]
-    places = {e.name: Placed(e, e.places()[0], SCALES) for e in EFFECTS if not e.form}
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if not e.form}
     asked = []
 
     class Beside(_Counting):
@@ -444,10 +444,10 @@ def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():
 
 def test_a_weaker_start_stays_inside_the_bounds_and_leaves_logarithms_alone():
     quadratic = next(e for e in EFFECTS if e.form == "_quadratic")
-    even = Placed(quadratic, quadratic.places()[0], SCALES)
+    even = Placed(quadratic, quadratic.places(STRAP)[0], SCALES)
     assert even.weaker(np.array([-0.4, 0.5])) == pytest.approx([-0.1, 0.5])
     lugre = next(e for e in EFFECTS if e.name == "lugre")
-    placed = Placed(lugre, lugre.places()[0], SCALES)
+    placed = Placed(lugre, lugre.places(STRAP)[0], SCALES)
     start = placed.starts()[0]
     assert placed.weaker(start) == pytest.approx([start[0], 0.125, start[2], start[3]])
     assert placed.weaker(np.array([0.0, 0.06, -3.0, -3.0]))[1] == pytest.approx(0.05)
@@ -484,13 +484,15 @@ def _screened(effects, predicted=1.0):
 def test_every_effect_stays_in_the_running_for_a_second_cause():
     coulomb = next(e for e in EFFECTS if e.name == "coulomb")
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
-    places = [Placed(coulomb, w, SCALES) for w in coulomb.places()] + [Placed(lag, lag.places()[0], SCALES)]
+    places = [Placed(coulomb, w, SCALES) for w in coulomb.places(STRAP)] + [
+        Placed(lag, lag.places(STRAP)[0], SCALES)
+    ]
     kept = _promising([_screened([p]) for p in places], 2)
     assert [p.key for p in kept] == ["coulomb tx", "coulomb ty", "replay_lag"]
 
 
 def test_the_best_hypothesis_of_each_effect_comes_in_the_order_of_the_best():
-    places = {e.name: e.places() for e in EFFECTS if e.name in ("coulomb", "preload") and not e.form}
+    places = {e.name: e.places(STRAP) for e in EFFECTS if e.name in ("coulomb", "preload") and not e.form}
     by_name = {name: next(e for e in EFFECTS if e.name == name) for name in places}
 
     def single(name, axis):
@@ -502,7 +504,7 @@ def test_the_best_hypothesis_of_each_effect_comes_in_the_order_of_the_best():
 
 def test_a_set_is_pruned_down_to_single_effects():
     names = ("coulomb", "preload", "tilt")
-    places = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in names and not e.form]
+    places = [Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if e.name in names and not e.form]
     values = [np.full(len(p.effect.parameters), np.log(0.3)) for p in places]
     three = Hypothesis(tuple(places), np.concatenate([np.zeros(12), *values]), (90.0, 90.0))
     sizes = [len(h.effects) for h in _pruned(_Stuck(), [three])]
@@ -511,7 +513,9 @@ def test_a_set_is_pruned_down_to_single_effects():
 
 def test_members_of_the_best_set_are_tried_alone_from_where_they_stand_in_it():
     places = [
-        Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in ("coulomb", "preload") and not e.form
+        Placed(e, e.places(STRAP)[0], SCALES)
+        for e in EFFECTS
+        if e.name in ("coulomb", "preload") and not e.form
     ]
     z = np.zeros(12)
     pair = Hypothesis(tuple(places), np.concatenate([z, [np.log(0.3), 0.1]]), (90.0, 90.0))

@@ -22,7 +22,7 @@ CONTEXT = SimpleNamespace(time_s=TIME, pelvis_shape=SHAPE)
 
 def ways(marker: str, *values: float) -> np.ndarray:
     effect = next(e for e in EFFECTS if (e.name, e.form) == ("marker_drift", marker.lower()))
-    return effect.skin(np.array(values), CONTEXT)
+    return effect.chains.displacement(np.array(values), CONTEXT)
 
 
 def seen(rng: np.random.Generator, slides: np.ndarray | float = 0.0) -> np.ndarray:

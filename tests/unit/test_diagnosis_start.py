@@ -20,7 +20,7 @@ from real2sim.system.plant import STRAP_JOINTS, RestPose, interface_pose_at, loa
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
-from tests.unit.simulated_effects import LEVEL, PELVIS_SHAPE, SCALES, replay
+from tests.unit.simulated_effects import LEVEL, PELVIS_SHAPE, SCALES, STRAP, replay
 from tests.unit.test_coupling import PRIOR, REST, ROBOT
 
 RATE, START = 100.0, 50
@@ -42,7 +42,7 @@ class Seen:
 
 def placed(name: str, form: str = "") -> Placed:
     effect = next(e for e in EFFECTS if (e.name, e.form) == (name, form))
-    return Placed(effect, effect.places()[0], SCALES)
+    return Placed(effect, effect.places(STRAP)[0], SCALES)
 
 
 def searched(effect: Placed, *values: float) -> np.ndarray:
@@ -217,7 +217,7 @@ def _of(effect: Placed, values: tuple[float, ...]) -> np.ndarray:
 def test_a_pelvis_marker_that_slides_takes_the_pelvis_along(marker):
     """The chain gives the bone back: what it makes of the seen path is the one without the slide."""
     index = PELVIS_MARKERS.index(marker)
-    chain = placed("marker_drift", marker.lower()).effect.input_chain
+    chain = placed("marker_drift", marker.lower()).effect.chains.input
     time = np.arange(300) / RATE
     true_rotation = Rotation.from_euler("z", 0.3 * np.sin(2 * np.pi * 0.5 * time)[:, None]).as_matrix()
     true_position = np.column_stack([0.1 * np.sin(time), 0 * time, 0.9 + 0 * time])
@@ -252,7 +252,7 @@ def test_a_stage_is_where_the_likeliest_form_acts():
 
 def test_a_wobbling_skin_gives_the_bone_back():
     """Seen through a mass on a spring of 2.5 Hz, damped against the room: rate and acceleration undo it."""
-    chain = placed("soft_tissue", "wobble").effect.input_chain
+    chain = placed("soft_tissue", "wobble").effect.chains.input
     time, w, damping = np.arange(600) / RATE, 2 * np.pi * 2.5, 0.2
     rise = np.clip(time - 0.5, 0, 1) ** 2
     bone = np.column_stack([0.1 * np.sin(2 * np.pi * 0.8 * time) * rise, 0 * time, 0.9 + 0 * time])

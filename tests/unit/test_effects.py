@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.effects import chains
-from real2sim.effects.base import Where
-from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.effects import chains, lab, timing, tissue
+from real2sim.effects.base import Effect, InterfaceImpedance, Placed, Where
+from real2sim.effects.catalogue import EFFECTS, SHIPPED
 from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reaction
 from real2sim.effects.memory import bouc_wen, eyring, maxwell
 from real2sim.effects.planned import PlannedForce
-from real2sim.geometry import AXES, PELVIS_MARKERS, interface_frame
+from real2sim.geometry import AXES, interface_frame
 from real2sim.signals import lowpass
 from real2sim.study import strap_evidence
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
@@ -29,6 +29,7 @@ from tests.unit.simulated_effects import (
     HALF,
     LEVEL,
     SCALES,
+    STRAP,
     about,
     at_rest_on,
     pelvis_at_start,
@@ -38,99 +39,64 @@ from tests.unit.simulated_effects import (
 )
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, rotation_xyz, smooth_motion
 
-# Searched numbers at which an effect does nothing
-NEUTRAL = {
-    "stiffening": [0.0],
-    "stiffening _exponential": [20.0, 0.5],
-    "asymmetric_stiffness": [0.0],
-    "coulomb": [-20.0],
-    "cross_coupling": [0.0],
-    "misalignment": [0.0] * 3,
-    "preload": [0.0],
-    "quadratic_damping": [0.0],
-    "added_mass": [0.0, 0.0],
-    "base_compliance": [0.0] * 6,
-    "base_compliance series": [-40.0] * 3,
-    "base_compliance beyond_wheels": None,  # what is never rigid is never absent
-    "base_compliance play": None,
-    "base_compliance rocking": None,
-    "base_compliance column": None,
-    "migration _steady": [0.0],
-    "controller_reaction": [0.0, 0.1, 0.1],
-    "controller_reaction integral": [0.0, 0.0, 0.0, 0.0, 0.7, 0.1],
-    "controller_reaction hold_integral": [0.0] * 6,
-    "added_mass hanging": [0.0, 0.0],
-    "added_mass off_centre": [0.0] * 6,
-    "coulomb _smooth": [-20.0, 0.0],
-    "coulomb _uneven": [-20.0, 0.0],
-    "tilt": [0.0, 0.0],
-    "soft_tissue": [0.0] * 18,
-    "soft_tissue wobble": None,  # skin that rings is never absent
-    "lab_yaw": [0.0],
-    "migration _settling": [0.0],
-    "replay_lag": [0.0],
-    "sync_offset": [0.0],
-    "sync_offset with_log": [0.0],
-    "sync_offset each_trial": [0.0, 0.0],
-    "clock_drift": [0.0],
-    "marker_offset": [0.0] * 6,
-    "marker_offset on_strap": [0.0] * 3,
-    "marker_drift": [0.0] * 3,
-    **{f"marker_drift {marker.lower()}": [0.0] * 6 for marker in PELVIS_MARKERS},
-    "slack": [-20.0],
-    "relaxation _flow": [-20.0, 0.0, 0.0],
-    "slack _soft": [-20.0, 0.5],
-    "slack _undamped": None,  # the measured coordinate passes through zero
-}
+IMPEDANCE = InterfaceImpedance(PRIOR[None, :6], PRIOR[None, 6:])
 
 
 @pytest.fixture(scope="module")
-def plain() -> np.ndarray:
-    return replay([]).run_effects(PRIOR[None], [])[0]
+def plain() -> tuple[np.ndarray, np.ndarray]:
+    """Marker paths and robot joints of the plain plant."""
+    return replay([]).run_effects(PRIOR[None], [])
 
 
 def test_catalogue_has_the_names_that_the_suite_is_made_of():
-    assert EFFECT_NAMES == SUITE_EFFECTS
+    assert tuple(dict.fromkeys(effect.name for effect in SHIPPED)) == SUITE_EFFECTS
 
 
-def test_every_entry_says_what_it_is():
-    for effect in EFFECTS:
-        assert effect.stage in {"input", "interface", "robot", "output"}
-        assert effect.equation
-        assert effect.separating_trial
-        assert effect.group
-        acts = [effect.plant, effect.input_chain, effect.output_chain, effect.sighting]
-        assert any(part is not None for part in acts)
-        for parameter in effect.parameters:
-            assert parameter.lower < parameter.upper
-            assert all(parameter.lower <= start <= parameter.upper for start in parameter.starts)
+def _everywhere(effect: Effect) -> list[Placed]:
+    """Return the effect at every place, with small scales, so that thresholds are passed."""
+    return [Placed(effect, where, replace(SCALES, q=SCALES.q / 5)) for where in effect.places(STRAP)]
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: f"{e.name}{e.form}")
-def test_effect_changes_the_simulation_and_nothing_does_not(effect, plain):
-    where = effect.places()[0]
-    # small scales, so that whatever has a threshold is beyond it
-    placed = Placed(effect, where, replace(SCALES, q=SCALES.q / 5))
-    model = replay([placed], nsim=2)
-    acting, _ = model.run_effects(np.tile(PRIOR, (2, 1)), [np.tile(placed.starts()[-1], (2, 1))])
-    assert np.isfinite(acting).all()
-    np.testing.assert_array_equal(acting[0], acting[1])
-    quiet = {"outliers", "marker_offset", "marker_drift", "soft_tissue", "misalignment"}
-    if effect.name not in quiet:
-        assert np.abs(acting[0] - plain[0]).max() > 1e-5
-    neutral = NEUTRAL.get(f"{effect.name} {effect.form}", NEUTRAL.get(effect.name))
-    if neutral is not None:
-        x = placed.starts()[:1].copy()
-        x[:, : len(neutral)] = neutral
-        nothing, _ = model.run_effects(PRIOR[None], [x])
-        # dry friction is a constraint and never quite absent
-        tolerance = 1e-6 if effect.name == "coulomb" else 1e-9
-        np.testing.assert_allclose(nothing[0], plain[0], atol=tolerance)
+@pytest.mark.parametrize("effect", SHIPPED, ids=lambda e: e.label)
+def test_an_effect_at_rest_is_the_plain_plant_at_every_place(effect, plain):
+    for placed in _everywhere(effect):
+        simulated = replay([placed]).run_effects(PRIOR[None], [placed.at_rest()[None]])
+        away = max(np.abs(a - b).max() for a, b in zip(simulated, plain, strict=True))
+        assert away <= effect.at_rest.tolerance, f"{placed.key}: {away}"
+
+
+@pytest.mark.parametrize("effect", [e for e in SHIPPED if e.parameters], ids=lambda e: e.label)
+def test_an_effect_away_from_rest_changes_the_simulation_at_every_place(effect):
+    for placed in _everywhere(effect):
+        x = np.array([placed.at_rest(), *(point for point in _away(placed) for _ in range(2))])
+        model = replay([placed], nsim=len(x))
+        simulated = model.run_effects(np.tile(PRIOR, (len(x), 1)), [x])
+        assert np.isfinite(simulated[0]).all(), placed.key
+        for part in simulated:
+            np.testing.assert_allclose(part[1::2], part[2::2], rtol=0, atol=1e-10)
+        away = np.abs(simulated[0][1:] - simulated[0][0]).max()
+        assert away > 1e-5, f"{placed.key}: {away}"
+
+
+def _away(placed: Placed) -> np.ndarray:
+    """Return the starts (s, p) of an effect, or where it starts at rest a third of the way to the upper bound."""
+    starts, rest, upper = placed.starts(), placed.at_rest(), placed.bounds()[1]
+    return starts if (starts != rest).any(axis=1).all() else (rest + (upper - rest) / 3)[None]
+
+
+def test_outliers_show_the_measurement_where_a_marker_jumps(plain):
+    model = replay([placed_whole("outliers")])
+    context = model._context
+    context.spikes[50, 0] = True
+    paths, _ = model.run_effects(PRIOR[None], [np.empty((1, 0))])
+    np.testing.assert_array_equal(paths[0, 50, 0], context.measured[50, 0])
+    paths[0, 50, 0] = plain[0][0, 50, 0]
+    np.testing.assert_array_equal(paths, plain[0])
 
 
 def test_dry_friction_holds_without_creeping():
     effect = next(e for e in EFFECTS if e.name == "coulomb")
-    placed = [Placed(effect, where, SCALES) for where in effect.places()[:3]]
+    placed = [Placed(effect, where, SCALES) for where in effect.places(STRAP)[:3]]
     held = [p.bounds()[1][None] for p in placed]
     paths = [
         replay(placed, step=step, seconds=12).run_effects(PRIOR[None], held)[0] for step in (0.01, 0.0025)
@@ -155,11 +121,11 @@ def test_a_base_that_yields_beyond_its_wheels_goes_further_than_they_show(plain)
     away = []
     for ln in (2.0, 3.0, 4.0):
         paths, log = model.run_effects(PRIOR[None], [np.full((1, 3), ln)])
-        away.append((np.abs(paths[0] - plain[0]).max(), np.abs(log - configured).max()))
+        away.append((np.abs(paths[0] - plain[0][0]).max(), np.abs(log - configured).max()))
     # a stiffer spring is nearer to none, about in proportion
     assert np.all(np.divide(away[:-1], away[1:]) > 2)
     soft, log = model.run_effects(PRIOR[None], [np.zeros((1, 3))])
-    moved = [np.ptp(x.mean(axis=1)[:, 0]) for x in (soft[0], plain[0])]
+    moved = [np.ptp(x.mean(axis=1)[:, 0]) for x in (soft[0], plain[0][0])]
     shown = [np.ptp(x[0, :, 0]) for x in (log, configured)]
     assert moved[0] > 1.05 * moved[1]
     assert shown[0] < 0.95 * shown[1]
@@ -172,7 +138,7 @@ def test_a_robot_that_rocks_turns_about_the_floor_and_its_log_does_not_show_it(p
     for stiffness in (300.0, 3_000.0, 30_000.0):
         x = np.log([[stiffness, stiffness, 0.1, 1.0]])
         paths, _ = model.run_effects(PRIOR[None], [x])
-        away.append(np.abs(paths[0] - plain[0]).max())
+        away.append(np.abs(paths[0] - plain[0][0]).max())
         plant = model.as_simulated().model
         data = mujoco.MjData(plant)
         joint = plant.joint(f"rocking_pitch_{placed.where.element}")
@@ -189,10 +155,10 @@ def test_a_robot_that_rocks_turns_about_the_floor_and_its_log_does_not_show_it(p
 
 def test_a_strap_that_wanders_pulls_by_its_way_from_the_first_motion_on():
     effect = next(e for e in EFFECTS if e.name == "migration" and e.form == "_steady")
-    placed = Placed(effect, effect.places()[1], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[1], SCALES)
     model = replay([placed])
     rate = placed.values(placed.bounds()[1][None])
-    force = effect.plant.force(rate, model._context, placed.where, PRIOR[None])[0, :, 0]
+    force = effect.plant.force(rate, model._context, placed.where, IMPEDANCE)[0, :, 0]
     moves = model._context.time_s[model._context.start]
     since = np.maximum(model._context.step_time_s - moves, 0)
     np.testing.assert_allclose(force, PRIOR[1] * rate[0, 0] * since, rtol=1e-12)
@@ -202,7 +168,7 @@ def test_a_strap_that_wanders_pulls_by_its_way_from_the_first_motion_on():
 
 def test_a_second_call_does_not_remember_the_first(plain):
     placed = [
-        Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name in ("tilt", "lab_yaw", "hysteresis")
+        Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if e.name in ("tilt", "lab_yaw", "hysteresis")
     ]
     model = replay(placed)
     x = [p.starts()[:1] for p in placed]
@@ -213,9 +179,9 @@ def test_a_second_call_does_not_remember_the_first(plain):
 
 def test_late_markers_are_the_plain_ones_later(plain):
     effect = next(e for e in EFFECTS if e.name == "sync_offset")
-    placed = Placed(effect, effect.places()[0], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
     late, _ = replay([placed]).run_effects(PRIOR[None], [np.array([[0.05]])])
-    np.testing.assert_allclose(late[0, 50:], plain[0, 45:-5], atol=1e-6)
+    np.testing.assert_allclose(late[0, 50:], plain[0][0, 45:-5], atol=1e-6)
 
 
 class Recorded:
@@ -270,7 +236,7 @@ def test_a_turned_lab_of_the_interface_gives_back_the_motion_that_it_turned(plai
     )
     model = replay([placed_whole("lab_yaw", "interface")], seen=seen, rest=rest)
     paths, joints = model.run_effects(PRIOR[None], [np.array([[0.12]])])
-    np.testing.assert_allclose(paths[0], plain[0] @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(paths[0], plain[0][0] @ turn.T, atol=1e-9)
     # the log is laid on the interface's markers
     _, own = replay([]).run_effects(PRIOR[None], [])
     np.testing.assert_allclose(joints[0, :, :2], own[0, :, :2] @ turn[:2, :2].T, atol=1e-9)
@@ -289,7 +255,7 @@ def test_the_bone_is_found_under_skin_that_turns_more_than_it_does():
     skin = bone @ Rotation.from_rotvec(angles @ turn.T).as_matrix()
     moved = position + np.einsum("nij,nj->ni", bone, angles @ shift.T)
     context = SimpleNamespace(pelvis_rotation=skin, pelvis_position=moved)
-    found = chains.soft_tissue(np.concatenate([shift.ravel(), turn.ravel()]), context)
+    found = tissue.soft_tissue(np.concatenate([shift.ravel(), turn.ravel()]), context)
     np.testing.assert_allclose(found[0], bone, atol=1e-5)
     np.testing.assert_allclose(found[1], position, atol=1e-5)
 
@@ -311,8 +277,8 @@ def test_markers_off_their_centres_give_back_the_motion_of_the_centres(plain):
     paths, _ = model.run_effects(PRIOR[None], [offsets.reshape(1, 6)])
     length = np.linalg.norm(paths[0, :, 0] - paths[0, :, 1], axis=1)
     np.testing.assert_allclose(length, 2 * half, atol=1e-9)
-    wrong = np.abs(replay([], seen=seen, rest=rest).run_effects(PRIOR[None], [])[0][0] - plain[0]).max()
-    middle_path = paths[0].mean(axis=1) - plain[0].mean(axis=1)
+    wrong = np.abs(replay([], seen=seen, rest=rest).run_effects(PRIOR[None], [])[0][0] - plain[0][0]).max()
+    middle_path = paths[0].mean(axis=1) - plain[0][0].mean(axis=1)
     assert wrong > 0.01
     # what is left is the mean offset, turned with the interface, but for its pitch, which two markers do not show
     left = np.linalg.norm(middle_path, axis=1)
@@ -330,7 +296,7 @@ def test_a_start_out_of_reach_leaves_the_other_simulations_alone(monkeypatch):
             raise ValueError("too far")
         return robot_pose_for(*pose)
 
-    monkeypatch.setattr("real2sim.system.effect_replay.robot_pose_for", reach)
+    monkeypatch.setattr("real2sim.effects.replay.robot_pose_for", reach)
     paths, joints = model.run_effects(np.tile(PRIOR, (3, 1)), x)
     assert np.isnan(paths[1]).all()
     np.testing.assert_array_equal(paths[[0, 2]], whole[[0, 2]])
@@ -351,8 +317,10 @@ def test_a_strap_that_is_one_sided_from_the_origin_on_has_two_slopes():
         next(e for e in EFFECTS if e.name == name and not e.form)
         for name in ("one_sided", "asymmetric_stiffness")
     )
-    upper = Placed(one_sided, next(w for w in one_sided.places() if w.axes == (1,) and w.side == 1), SCALES)
-    slopes = Placed(asymmetric, asymmetric.places()[1], SCALES)
+    upper = Placed(
+        one_sided, next(w for w in one_sided.places(STRAP) if w.axes == (1,) and w.side == 1), SCALES
+    )
+    slopes = Placed(asymmetric, asymmetric.places(STRAP)[1], SCALES)
     model = replay([upper])
     first, _ = model.run_effects(PRIOR[None], [np.array([[0.0, share]])])
     mean = PRIOR.copy()
@@ -380,7 +348,7 @@ def test_noise_of_the_measured_coordinate_hardly_moves_a_strap_with_hysteresis()
     noise[:, 1] = 5e-4 * rng.standard_normal(300)
     shaken = []
     for kind in (effect, whole):
-        placed = Placed(kind, kind.places()[1], SCALES)
+        placed = Placed(kind, kind.places(STRAP)[1], SCALES)
         paths = [
             replay([placed], noise=n[: len(noise)]).run_effects(PRIOR[None], x)[0] for n in (noise, 0 * noise)
         ]
@@ -390,7 +358,7 @@ def test_noise_of_the_measured_coordinate_hardly_moves_a_strap_with_hysteresis()
 
 def test_a_turned_rest_pose_is_that_of_the_coordinates_whatever_the_order():
     turned = next(e for e in EFFECTS if (e.name, e.form) == ("preload", "_turned"))
-    about = [Placed(turned, where, SCALES) for where in turned.places()]
+    about = [Placed(turned, where, SCALES) for where in turned.places(STRAP)]
     angles = np.array([0.04, -0.05, 0.06])
     for order in ([0, 1, 2], [2, 0, 1]):
         model = replay([about[i] for i in order])
@@ -406,10 +374,10 @@ def test_a_rest_pose_turned_by_little_is_a_spring_that_rests_elsewhere(plain):
     forms = [e for e in EFFECTS if e.name == "preload"]
     shifted, turned = (
         replay([p]).run_effects(PRIOR[None], [np.array([[0.01]])])[0][0]
-        for p in (Placed(e, next(w for w in e.places() if w.axes == (5,)), SCALES) for e in forms)
+        for p in (Placed(e, next(w for w in e.places(STRAP) if w.axes == (5,)), SCALES) for e in forms)
     )
-    assert np.abs(shifted - plain[0]).max() > 1e-5
-    assert np.abs(turned - shifted).max() < 0.05 * np.abs(shifted - plain[0]).max()
+    assert np.abs(shifted - plain[0][0]).max() > 1e-5
+    assert np.abs(turned - shifted).max() < 0.05 * np.abs(shifted - plain[0][0]).max()
 
 
 def test_an_admittance_is_a_reaction_and_what_it_has_kept_of_the_force():
@@ -496,10 +464,10 @@ def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
     """Slack beside a reaction was never found: the reaction answered a force as if there were none."""
     by_name = {e.name: e for e in EFFECTS if not e.form}
     placed = [
-        Placed(by_name["controller_reaction"], by_name["controller_reaction"].places()[0], SCALES),
-        Placed(by_name["slack"], by_name["slack"].places()[0], SCALES),
-        Placed(by_name["preload"], by_name["preload"].places()[0], SCALES),
-        Placed(by_name["migration"], by_name["migration"].places()[0], SCALES),
+        Placed(by_name["controller_reaction"], by_name["controller_reaction"].places(STRAP)[0], SCALES),
+        Placed(by_name["slack"], by_name["slack"].places(STRAP)[0], SCALES),
+        Placed(by_name["preload"], by_name["preload"].places(STRAP)[0], SCALES),
+        Placed(by_name["migration"], by_name["migration"].places(STRAP)[0], SCALES),
     ]
     model = replay(placed, seconds=4)
     wide, shift, gain, delay, smoothing = 0.02, 0.01, -0.3, 0.1, 0.02
@@ -540,7 +508,9 @@ def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
 def test_a_reaction_begins_with_what_the_strap_does_while_the_person_stands():
     """From nothing, or from the first sample, a jolt of the simulation, it would start the trial with a push."""
     by_name = {e.name: e for e in EFFECTS if not e.form}
-    placed = [Placed(by_name[n], by_name[n].places()[0], SCALES) for n in ("controller_reaction", "preload")]
+    placed = [
+        Placed(by_name[n], by_name[n].places(STRAP)[0], SCALES) for n in ("controller_reaction", "preload")
+    ]
     model = replay(placed, seconds=1)
     gain, delay, shift = 0.5, 0.2, 0.03
     model.run_effects(PRIOR[None], [np.array([[gain, delay, 0.1]]), np.array([[shift / SCALES.q[0]]])])
@@ -553,7 +523,9 @@ def test_a_reaction_begins_with_what_the_strap_does_while_the_person_stands():
 def test_a_reaction_hears_the_bristles_of_a_friction():
     """They are an actuator of MuJoCo's, and no passive force; without them a true pair left 9760 instead of 3489."""
     by_name = {e.name: e for e in EFFECTS if not e.form}
-    placed = [Placed(by_name[n], by_name[n].places()[0], SCALES) for n in ("controller_reaction", "lugre")]
+    placed = [
+        Placed(by_name[n], by_name[n].places(STRAP)[0], SCALES) for n in ("controller_reaction", "lugre")
+    ]
     model = replay(placed, seconds=3)
     gain, force = 0.4, 8.0
     law = [force / SCALES.force[0], 0.5, 0.002 / SCALES.q[0], 0.01 / SCALES.v[0]]
@@ -579,7 +551,7 @@ def test_a_reaction_hears_the_bristles_of_a_friction():
 
 def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
     effect = next(e for e in EFFECTS if e.form == "_quadratic")
-    placed = Placed(effect, effect.places()[0], SCALES)
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
     model = replay([placed])
     k, b, end = PRIOR[0], -4000.0, 0.02
     x = np.array([[b * SCALES.q[0] / SCALES.k[0], np.log(end / SCALES.q[0])]])
@@ -598,7 +570,7 @@ def test_a_quadratic_spring_goes_straight_on_along_its_tangent():
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_gentle_stop_pushes_with_the_square_of_what_is_beyond(side):
     effect = next(e for e in EFFECTS if e.form == "_gentle")
-    where = next(w for w in effect.places() if w.axes == (0,) and w.side == side)
+    where = next(w for w in effect.places(STRAP) if w.axes == (0,) and w.side == side)
     placed = Placed(effect, where, SCALES)
     model = replay([placed])
     x = placed.starts()[:1]
@@ -613,7 +585,7 @@ def test_a_gentle_stop_pushes_with_the_square_of_what_is_beyond(side):
 @pytest.mark.parametrize("name", ["slack", "one_sided", "asymmetric_stiffness", "stiffening", "joint_limit"])
 def test_a_strap_that_rests_elsewhere_takes_its_other_laws_along(name):
     law, rest = (next(e for e in EFFECTS if e.name == n) for n in (name, "preload"))
-    law, rest = (Placed(e, e.places()[0], SCALES) for e in (law, rest))
+    law, rest = (Placed(e, e.places(STRAP)[0], SCALES) for e in (law, rest))
     own, shift = law.starts()[:1], 0.5 * SCALES.q[0]
     alone = replay([law])
     alone.run_effects(PRIOR[None], [own])
@@ -629,7 +601,7 @@ def test_a_strap_that_rests_elsewhere_takes_its_other_laws_along(name):
 
 def test_a_turned_law_is_the_turned_matrices():
     effect = next(e for e in EFFECTS if (e.name, e.form) == ("misalignment", "law"))
-    model = replay([Placed(effect, effect.places()[0], SCALES)])
+    model = replay([Placed(effect, effect.places(STRAP)[0], SCALES)])
     vector = np.array([0.1, -0.3, 0.2])
     placed = model.effects[0]
     x = (vector / placed.values(np.ones((1, 3)))[0])[None]
@@ -650,9 +622,9 @@ def test_a_turned_law_is_the_turned_matrices():
 
 
 def test_both_forms_of_misalignment_agree_where_little_is_turned(plain):
-    forms = [Placed(e, e.places()[0], SCALES) for e in EFFECTS if e.name == "misalignment"]
+    forms = [Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if e.name == "misalignment"]
     axes, law = (
-        replay([p]).run_effects(PRIOR[None], [np.full((1, 3), 0.01)])[0][0] - plain[0] for p in forms
+        replay([p]).run_effects(PRIOR[None], [np.full((1, 3), 0.01)])[0][0] - plain[0][0] for p in forms
     )
     assert np.abs(axes).max() > 1e-6
     assert np.abs(axes - law).max() < 0.2 * np.abs(axes).max()
@@ -660,7 +632,7 @@ def test_both_forms_of_misalignment_agree_where_little_is_turned(plain):
 
 def test_a_stop_pushes_back_and_pulls_no_one():
     effect = next(e for e in EFFECTS if e.name == "joint_limit")
-    placed = Placed(effect, next(w for w in effect.places() if w.axes == (1,) and w.side < 0), SCALES)
+    placed = Placed(effect, next(w for w in effect.places(STRAP) if w.axes == (1,) and w.side < 0), SCALES)
     model = replay([placed])
     x = np.array([[np.log(0.5), np.log(20.0), 0.5]])
     place, *_ = placed.values(x)[0]
@@ -686,7 +658,7 @@ def test_a_stop_pushes_back_and_pulls_no_one():
 def test_slack_leaves_the_strap_without_force_inside(form):
     """Inside the dead band a strap without damping does not move a robot that stands still."""
     effect = next(e for e in EFFECTS if (e.name, e.form) == ("slack", form))
-    loose = [Placed(effect, where, SCALES) for where in effect.places()]
+    loose = [Placed(effect, where, SCALES) for where in effect.places(STRAP)]
     parameters = PRIOR.copy()
     parameters[6:] = 1e-6
     model = replay(loose)
@@ -698,7 +670,7 @@ def test_slack_leaves_the_strap_without_force_inside(form):
 
 def test_soft_slack_takes_up_its_load_little_by_little():
     effect = next(e for e in EFFECTS if (e.name, e.form) == ("slack", "_soft"))
-    model = replay([Placed(effect, effect.places()[0], SCALES)])
+    model = replay([Placed(effect, effect.places(STRAP)[0], SCALES)])
     x = np.array([[np.log(0.4), 0.5]])
     model.run_effects(PRIOR[None], [x])
     plant = undriven(model)
@@ -737,10 +709,12 @@ def test_an_eyring_dashpot_flows_by_its_law_at_small_and_at_large_stretch():
 def test_what_a_flowing_branch_plans_is_what_it_differs_from_its_linear_one():
     """Along the measured coordinate: nothing for a branch that is never stretched far from two lengths' flow."""
     model = replay([])
-    context, where = model._context, Where((1,), 0, "_flow", "relaxation")
+    context, where = model._context, Where(STRAP, (1,), 0, "_flow", "relaxation")
     flow = next(e for e in EFFECTS if (e.name, e.form) == ("relaxation", "_flow")).plant
     values = np.array([[900.0, 0.4, 0.004], [900.0, 0.4 * 2.0 / np.sinh(2.0), 10.0]])
-    planned = flow.force(values, context, where, np.tile(PRIOR, (2, 1)))
+    planned = flow.force(
+        values, context, where, InterfaceImpedance(np.tile(PRIOR[:6], (2, 1)), np.tile(PRIOR[6:], (2, 1)))
+    )
     assert planned.shape == (2, len(context.step_time_s), 1)
     q = np.interp(context.step_time_s, context.time_s, context.coordinates[:, 1])
     step = context.step_time_s[1] - context.step_time_s[0]
@@ -751,12 +725,12 @@ def test_what_a_flowing_branch_plans_is_what_it_differs_from_its_linear_one():
 
 
 def test_a_robot_that_starts_elsewhere_is_a_start_pose_that_was_misjudged(plain):
-    placed = Placed(strap_evidence._START, Where((), 0, "", "start"), SCALES)
+    placed = Placed(strap_evidence._START, strap_evidence._START.place(STRAP), SCALES)
     moved = replay([placed], nsim=2)
     x = np.zeros((2, 6))
     x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]
     paths, _ = moved.run_effects(np.tile(PRIOR, (2, 1)), [x])
-    np.testing.assert_allclose(paths[0], plain[0], atol=1e-9)
+    np.testing.assert_allclose(paths[0], plain[0][0], atol=1e-9)
     turn = Rotation.from_rotvec(x[1, 3:]).as_matrix()
     asked = replay([], seen=(turn @ LEVEL[0], LEVEL[1] + x[1, :3])).run_effects(PRIOR[None], [])[0][0]
     np.testing.assert_allclose(paths[1], asked, atol=1e-7)
@@ -764,10 +738,10 @@ def test_a_robot_that_starts_elsewhere_is_a_start_pose_that_was_misjudged(plain)
 
 def test_a_lag_is_exact_far_from_none():
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
-    model = replay([Placed(lag, lag.places()[0], SCALES)])
+    model = replay([Placed(lag, lag.places(STRAP)[0], SCALES)])
     basis = model._basis[0]
     late = np.array([0.061])
-    asked = servo_command(model._drive_for(*chains.earlier_pelvis(late, model._context)))
+    asked = servo_command(model._drive_for(*timing.earlier_pelvis(late, model._context)))
     told = servo_command(model.drive) + np.tensordot(basis.weights(late[None])[0], basis.commands, axes=1)
     # where the path ends it has a corner
     np.testing.assert_allclose(told[20:-20], asked[20:-20], atol=2e-5)
@@ -780,10 +754,10 @@ def test_a_pelvis_that_is_early_is_an_offset_of_all_the_rest_and_no_lag_of_the_r
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
     offset = next(e for e in EFFECTS if e.form == "with_log")
     for effect in (lag, offset):
-        assert Placed(effect, effect.places()[0], SCALES).bounds()[0] == [0.0]
+        assert Placed(effect, effect.places(STRAP)[0], SCALES).bounds()[0] == [0.0]
     context = replay([])._context
-    early = offset.input_chain(np.array([0.03]), context)
-    back = lag.input_chain(
+    early = offset.chains.input(np.array([0.03]), context)
+    back = lag.chains.input(
         np.array([0.03]), replace(context, pelvis_rotation=early[0], pelvis_position=early[1])
     )
     np.testing.assert_allclose(back[1][10:-10], context.pelvis_position[10:-10], atol=1e-5)
@@ -795,7 +769,7 @@ def test_a_column_that_bends_carries_the_arm_and_its_log_does_not_show_it(plain)
     away = []
     for stiffness in (300.0, 3_000.0, 30_000.0):
         paths, _ = model.run_effects(PRIOR[None], [np.log([[stiffness, 2 * stiffness, 0.03]])])
-        away.append(np.abs(paths[0] - plain[0]).max())
+        away.append(np.abs(paths[0] - plain[0][0]).max())
         plant = model.as_simulated().model
         data = mujoco.MjData(plant)
         bends = [plant.joint(f"bending_{axis}_{placed.where.element}") for axis in "xy"]
@@ -825,7 +799,7 @@ def test_markers_on_the_strap_go_a_part_of_the_way_with_the_person():
         "nij,kj->nki", context.pelvis_rotation, context.rest_shape + shift
     )
     robot = robot + 0.01 * rng.standard_normal(robot.shape)
-    seen = placed.effect.sighting.seen(robot[None], None, part[None], context)[0]
+    seen = placed.effect.chains.observation.observe(robot[None], None, part[None], context)[0]
     away = [
         np.einsum("nji,nkj->nki", context.pelvis_rotation, paths - context.pelvis_position[:, None])
         - context.rest_shape
@@ -836,7 +810,7 @@ def test_markers_on_the_strap_go_a_part_of_the_way_with_the_person():
 
 def test_a_robot_starts_where_its_markers_would_be_if_they_sat_on_it():
     placed = placed_whole("marker_offset", "on_strap")
-    sighting, values = placed.effect.sighting, np.array([0.4, 0.25, 0.1])
+    observation, values = placed.effect.chains.observation, np.array([0.4, 0.25, 0.1])
     context = replay([])._context
     rotation, position = context.pelvis_rotation[0], context.pelvis_position[: context.start].mean(axis=0)
     turn = Rotation.from_rotvec([0.0, 0.0, 0.02]).as_matrix()
@@ -848,10 +822,10 @@ def test_a_robot_starts_where_its_markers_would_be_if_they_sat_on_it():
         pelvis_position=np.tile(position, (len(context.time_s), 1)),
     )
     paths = np.tile(true, (1, len(context.time_s), 1, 1))
-    markers = sighting.seen(paths, None, values[None], still)[0]
+    markers = observation.observe(paths, None, values[None], still)[0]
     seen_rotation, seen_position = interface_frame(markers[0, 0], markers[0, 1], np.array([0.0, 0.0, 1.0]))
-    sight = chains.Sight(seen_rotation, seen_position, REST.rotation, REST.position)
-    found = sighting.true(values, sight, replace(still, measured=markers), ())
+    sight = chains.Poses(seen_rotation, seen_position, REST.rotation, REST.position)
+    found = observation.true_poses(values, sight, replace(still, measured=markers), ())
     np.testing.assert_allclose(found.position, centre, atol=1e-5)
     np.testing.assert_allclose(found.rotation, turn, atol=1e-4)
 
@@ -860,7 +834,7 @@ def test_a_trailing_mean_is_the_mean_of_the_last_samples():
     context = SimpleNamespace(time_s=np.arange(300) / 100)
     rng = np.random.default_rng(4)
     path = lowpass(rng.standard_normal((300, 6)).cumsum(axis=0), 100, 5, 4).reshape(1, 300, 2, 3)
-    seen = chains.averaged_markers(path, np.array([[0.1]]), context)
+    seen = timing.averaged_markers(path, np.array([[0.1]]), context)
     before = np.concatenate([np.repeat(path[:, :1], 10, axis=1), path], axis=1)
     trapezium = np.array(
         [(before[0, i : i + 11].sum(axis=0) - before[0, [i, i + 10]].mean(axis=0)) for i in range(300)]
@@ -875,8 +849,8 @@ def test_a_log_that_was_laid_on_filtered_markers_is_as_late_as_they_are(form, va
     context = SimpleNamespace(time_s=np.arange(600) / 100)
     ramp = np.tile(np.maximum(context.time_s - 1.0, 0.0)[:, None], (1, 1, 6))
     values = np.array([[value]])
-    markers = effect.output_chain(ramp.reshape(1, 600, 2, 3), values, context)
-    log = effect.log_chain(ramp, values, context)
+    markers = effect.chains.output(ramp.reshape(1, 600, 2, 3), values, context)
+    log = effect.chains.log(ramp, values, context)
     assert log[0, -1, 0] < ramp[0, -1, 0] - 0.02
     np.testing.assert_allclose(log[0, 300:, 0], markers[0, 300:, 0, 0], atol=1.5e-3)
 
@@ -884,7 +858,7 @@ def test_a_log_that_was_laid_on_filtered_markers_is_as_late_as_they_are(form, va
 def test_a_pelvis_that_was_seen_too_large_is_where_it_was_with_the_rest_pose_that_was_taken_of_it():
     """True pelvis and rest pose, and the seen rest pose on what replays instead, put the interface in one place."""
     context = replay([], neutral_at=np.array([0.4, -0.2, 0.0]))._context
-    rotation, position = chains.scaled_motion(np.array([0.03]), context)
+    rotation, position = lab.scaled_motion(np.array([0.03]), context)
     true = context.pelvis_position / 1.03
     neutral, stood = context.neutral_rotation, context.neutral_position
     interface_at_neutral = stood + neutral @ REST.position
@@ -894,11 +868,13 @@ def test_a_pelvis_that_was_seen_too_large_is_where_it_was_with_the_rest_pose_tha
 
 def test_a_strap_that_settles_pulls_towards_where_it_goes():
     placed = next(
-        Placed(e, e.places()[0], SCALES) for e in EFFECTS if (e.name, e.form) == ("migration", "_settling")
+        Placed(e, e.places(STRAP)[0], SCALES)
+        for e in EFFECTS
+        if (e.name, e.form) == ("migration", "_settling")
     )
     context = replay([placed])._context
     values = np.array([[0.01, 0.5]])
-    force = placed.effect.plant.force(values, context, placed.where, PRIOR[None])[0, :, 0]
+    force = placed.effect.plant.force(values, context, placed.where, IMPEDANCE)[0, :, 0]
     since = context.step_time_s - context.time_s[context.start]
     assert not force[since <= 0].any()
     moving = since > 0
@@ -908,7 +884,7 @@ def test_a_strap_that_settles_pulls_towards_where_it_goes():
 @pytest.mark.parametrize(("name", "side"), [("slack", 0), ("one_sided", 1), ("one_sided", -1)])
 def test_a_strap_that_is_loose_does_not_damp(name, side):
     effect = next(e for e in EFFECTS if (e.name, e.form) == (name, "_undamped"))
-    where = next(w for w in effect.places() if w.axes == (1,) and w.side == side)
+    where = next(w for w in effect.places(STRAP) if w.axes == (1,) and w.side == side)
     placed = Placed(effect, where, SCALES)
     model = replay([placed])
     x = np.array([[np.log(0.2)]]) if name == "slack" else np.array([[0.2, 0.75]])
@@ -919,7 +895,7 @@ def test_a_strap_that_is_loose_does_not_damp(name, side):
     tight = np.abs(q) > width + 1e-4 if name == "slack" else side * q > width + 1e-4
     assert loose.any()
     assert tight.any()
-    control = effect.plant.force(placed.values(x), model._context, where, PRIOR[None])[0, :, 0]
+    control = effect.plant.force(placed.values(x), model._context, where, IMPEDANCE)[0, :, 0]
     data = mujoco.MjData(plant)
     dof, column = plant.joint(STRAP_JOINTS[1]).dofadr[0], effect.plant.columns(plant, where)[0]
     damping = []

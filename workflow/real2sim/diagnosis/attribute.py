@@ -15,9 +15,8 @@ from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import Hypothesis, PlainResiduals
 from real2sim.diagnosis.search import KEEP, Pair, Screened, Search, conflict
-from real2sim.effects.base import Scales
-from real2sim.effects.catalogue import EFFECTS, Placed
-from real2sim.effects.memory import TwoTimes
+from real2sim.effects.base import Placed, Scales
+from real2sim.effects.catalogue import EFFECTS, are_confusable
 from real2sim.inference import least_squares
 from real2sim.system.description import System
 
@@ -33,18 +32,8 @@ NEARLY_ALL, FAR_BEHIND = 0.05, 10.0
 MANY = 3
 # More laws than this on one axis stand for one that the catalogue does not hold
 MOST_LAWS = 2
-# Effects that take each other's place in a fit
-RIVALS = (
-    ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit"),
-    ("coulomb", "lugre", "hysteresis", "relaxation", "creep", "quadratic_damping"),
-    ("cross_coupling", "misalignment", "lab_yaw"),
-    ("preload", "tilt", "marker_offset"),
-    ("migration", "marker_drift", "creep"),
-    ("added_mass", "base_compliance", "controller_reaction"),
-    ("replay_lag", "sync_offset", "clock_drift", "filter_lag"),
-)
-# A late clock, a late path and a filter leave as little as each other: what explains everything may be any of them
-TIMING = RIVALS[-1]
+# A late clock, a late path and a filter leave equally little: where one explains everything, each of them may be true
+DELAY = "sync_offset"
 
 
 @dataclass
@@ -63,14 +52,14 @@ class Attribution:
     evaluations: int = 0
 
 
-def candidates(scales: Scales, names: Iterable[str] | None = None) -> list[Placed]:
-    """Every effect of the catalogue (or those named) at every place."""
+def candidates(system: System, scales: Scales, names: Iterable[str] | None = None) -> list[Placed]:
+    """Return every effect of the catalogue (or those named) at every place of a system."""
     wanted = None if names is None else set(names)
     return [
         Placed(effect, where, scales)
         for effect in EFFECTS
         if wanted is None or effect.name in wanted
-        for where in effect.places()
+        for where in effect.places(system)
     ]
 
 
@@ -92,11 +81,11 @@ def plain_fit(evidence: Evidence, system: System, start: np.ndarray, settings: d
 
 
 def is_doubtful(effects: Sequence[Placed]) -> bool:
-    """Whether effects that explain all are what a cause outside the catalogue looks like as often as themselves.
+    """Whether one of the effects fits a law that the catalogue does not hold as often as itself.
 
-    Two time constants are what a spectrum of them looks like in seconds.
+    Two time constants fit a continuous spectrum of them within seconds.
     """
-    return any(isinstance(p.effect.plant, TwoTimes) for p in effects)
+    return any(p.effect.indistinguishable for p in effects)
 
 
 def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool) -> bool:
@@ -133,7 +122,7 @@ def attribute(
     plain = search.fit((), start, final=True)
     count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
-    everything = candidates(pair.train.scales) if places is None else list(places)
+    everything = candidates(pair.system, pair.train.scales) if places is None else list(places)
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
@@ -442,7 +431,7 @@ def _swapped(
     out: list[Hypothesis] = []
     for member in best.effects:
         taken = not any(placed is member for placed in best.effects)
-        if taken or (search.is_noise(best) and member.effect.name not in TIMING):
+        if taken or (search.is_noise(best) and not are_confusable(member.effect.name, DELAY)):
             continue
         kept = [i for i, placed in enumerate(best.effects) if placed is not member]
         near = _named(best, next(i for i, placed in enumerate(best.effects) if placed is member))
@@ -515,7 +504,7 @@ def _rivals(one: Placed, other: Placed) -> bool:
 
 def _alike(one: Placed, other: Placed) -> bool:
     """Whether one effect is mistaken for the other."""
-    return any(one.effect.name in names and other.effect.name in names for names in RIVALS)
+    return are_confusable(one.effect.name, other.effect.name)
 
 
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:

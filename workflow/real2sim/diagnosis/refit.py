@@ -147,7 +147,7 @@ class JointResiduals(least_squares.Residuals):
 
         None and no ways where the effect moves none, or the trial says nothing of them.
         """
-        ways = placed.effect.skin
+        ways = placed.effect.chains.displacement
         if ways is None or self._evidence.skin is None:
             return None, []
         return self._evidence.skin, [ways(values, self._evidence.context) for values in placed.values(x)]

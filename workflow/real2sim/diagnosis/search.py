@@ -68,7 +68,7 @@ class Screened:
 
 def conflict(effects: Sequence[Placed]) -> bool:
     """Two effects cannot both stand for the spring of one axis, nor two forms of one law for what it does there."""
-    taken = [axis for placed in effects if placed.effect.replaces_spring for axis in placed.where.axes]
+    taken = [axis for placed in effects if placed.effect.plant.replaces_spring for axis in placed.where.axes]
     laws = [(p.effect.name, p.where.axes, p.where.side) for p in effects if len(p.where.axes) == 1]
     return len(taken) != len(set(taken)) or len(laws) != len(set(laws))
 

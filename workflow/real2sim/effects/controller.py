@@ -1,33 +1,17 @@
-"""Forces of a robot's controller that answers what the strap does to it, or where the base is.
+"""Forces of a robot's controller in answer to the force of the interface or the displacement of the base.
 
-Such a force rests on the motion that it makes. The simulation is run in short windows, and what is fed in during the
-next one is made of what was heard up to there: with a delay of a window or more that is exact.
+Such a force depends on the motion that it causes. The simulation is run in short windows, and the force of the next one
+is computed from the input up to there: with a delay of a window or more that is exact.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
-
-class Law(Protocol):
-    """Force of a controller on the base, of some simulations side by side; made of values, `before` and the step.
-
-    ``hears`` is "strap", the strap's force on the interface along world x and y, or "base", where the base is from its
-    start along x, y and about z. ``before`` (m, j) [N, world | m, rad] is what was heard until the trial began.
-    """
-
-    hears: str
-    delay: np.ndarray
-
-    def __init__(self, values: np.ndarray, before: np.ndarray, step_s: float): ...
-
-    def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
-        """Forces (m, w, j) [N, Nm] of the next w steps in which ``heard`` (m, w, j) is heard.
-
-        With ``keep`` the next call goes on from there.
-        """
+from real2sim.effects.base import AtRest, Effect, EffectParameter, Law
+from real2sim.effects.planned import DrivenForce
+from real2sim.effects.robot import LOADS
+from real2sim.system.description import BASE_JOINTS
 
 
 class Reaction:
@@ -40,14 +24,14 @@ class Reaction:
         self._felt = _LowPass(smoothing, before, step_s)
 
     def force(self, heard, *, keep):
-        """Of `Law`."""
+        """Return the forces, see `Law`."""
         return self._gain[:, None, None] * self._felt(heard, keep=keep)
 
 
 class Admittance:
     """F = g y + r I, T y' = pull - y, I' = y - I / leak: values (m, 6) are g and r by axis, leak [s] and T [s].
 
-    What was pulled before has leaked away or is part of where the controller holds.
+    The force before the trial has leaked away or is part of the controller's set-point.
     """
 
     hears = "strap"
@@ -62,20 +46,20 @@ class Admittance:
         self._kept = _LowPass(values[:, 4], np.zeros_like(before), step_s)
 
     def force(self, heard, *, keep):
-        """Of `Law`."""
+        """Return the forces, see `Law`."""
         felt = self._felt(heard, keep=keep)
         return self._gains * felt + self._rates * self._leak * self._kept(felt - self._before, keep=keep)
 
 
-# Power by which a limited integral takes in the less, the fuller it is: a limit that shows itself before it is met
+# Power by which a limited integral takes in less, the fuller it is: the limit shows before it is reached
 _WINDUP = 4
 
 
 class HoldIntegral:
     """F' = -r x up to a limit, values (m, 6) are r [N/(m s), Nm/(rad s)] and limits [N, Nm] by joint of the base.
 
-    The integral term of a controller that holds the base, whose windup ends. What it had gathered before the trial is
-    part of where the controller holds.
+    The integral term of a controller that holds the base, with limited windup. Its state before the trial is part of
+    the controller's set-point.
     """
 
     hears = "base"
@@ -86,7 +70,7 @@ class HoldIntegral:
         self._state = np.zeros_like(before)
 
     def force(self, heard, *, keep):
-        """Of `Law`."""
+        """Return the forces, see `Law`."""
         out, state = np.empty_like(heard), self._state
         for k in range(heard.shape[1]):
             step = self._change * heard[:, k]
@@ -115,7 +99,7 @@ class _LowPass:
 
 
 class Answer:
-    """The force of one controller in the course of a simulation of ``steps`` steps; it hears what its law does."""
+    """The force of one controller in the course of a simulation of ``steps`` steps."""
 
     def __init__(self, law: Law, before: np.ndarray, step_s: float, steps: int):
         self._law, self._before = law, before
@@ -125,18 +109,18 @@ class Answer:
         self._known = 0
 
     def plan(self, count: int) -> np.ndarray:
-        """Forces (m, count, j) [N, Nm] of the next steps, what is heard taken to go straight on."""
+        """Return forces (m, count, j) [N, Nm] of the next steps, the input extrapolated linearly."""
         return self._law.force(self._late(self._known, count), keep=False)
 
     def learn(self, heard: np.ndarray) -> None:
-        """Go on by what was heard (m, w, j) in these steps."""
+        """Go on by the input (m, w, j) of these steps."""
         first, count = self._known, heard.shape[1]
         self._known += count
         self._heard[:, first : self._known] = heard
         self._law.force(self._late(first, count), keep=True)
 
     def _late(self, first: int, count: int) -> np.ndarray:
-        """What the controller hears in ``count`` steps from ``first`` on, (m, count, j)."""
+        """Return the delayed input in ``count`` steps from ``first`` on, (m, count, j)."""
         at = first + np.arange(count) - self._delay
         last = self._known - 1
         if last < 1:
@@ -146,8 +130,85 @@ class Answer:
         here, share = self._heard[row, low], (at - low)[..., None]
         heard = here + np.minimum(share, 1) * (self._heard[row, low + 1] - here)
         if at.max() > last:
-            # a slope over as long as it is to go on: that of the last step is the step's own noise
+            # a slope over as many steps as are extrapolated: that of the last step alone is noise
             back = min(count, last)
             slope = (self._heard[:, last] - self._heard[:, last - back]) / back
             heard += np.maximum(at - last, 0)[..., None] * slope[:, None]
         return np.where(at[..., None] < 0, self._before[:, None], heard)
+
+
+class AnsweringForce(DrivenForce):
+    """Forces of a controller law on joints of the base, computed between the windows of a run."""
+
+    def __init__(self, law: type[Law], joints: tuple[str, ...]):
+        super().__init__(joints)
+        self.law = law
+
+
+EFFECTS = (
+    Effect(
+        "controller_reaction",
+        "robot",
+        "F_base = g y, T y' = F_interaction(t - delay) - y",
+        (
+            EffectParameter("gain", "1", -1.5, 4.0, (-0.3, 0.3)),
+            EffectParameter("delay", "s", 0.0, 0.5, (0.1, 0.02)),
+            EffectParameter("smoothing", "s", 0.0, 0.5, (0.0, 0.1)),
+        ),
+        separating_trial="the same motion with the controller off",
+        at_rest=AtRest((0.0, 0.1, 0.1)),
+        confusable=LOADS,
+        scope="whole",
+        needs=frozenset({"base", "pose", "six_axes"}),
+        plant=AnsweringForce(Reaction, BASE_JOINTS[:2]),
+        remedy=(
+            "Add to base_x and base_y the gain times the strap's horizontal force on the interface, delayed and passed"
+            " through a low-pass of first order with the smoothing as time constant"
+        ),
+    ),
+    Effect(
+        "controller_reaction",
+        "robot",
+        "F_base = g y + r I, T y' = F_interaction - y, I' = y - I / leak, g and r along x and y: an admittance",
+        (
+            *(EffectParameter(f"gain_{axis}", "1", -1.5, 4.0, (0.3,)) for axis in "xy"),
+            *(EffectParameter(f"integral_gain_{axis}", "1/s", -3.0, 6.0, (0.3,)) for axis in "xy"),
+            EffectParameter("leak", "s", 0.3, 20.0, (2.0,), log=True),
+            EffectParameter("smoothing", "s", 0.0, 0.5, (0.05,)),
+        ),
+        separating_trial="the same motion with the controller off",
+        at_rest=AtRest((0.0, 0.0, 0.0, 0.0, 2.0, 0.1)),
+        confusable=LOADS,
+        scope="whole",
+        needs=frozenset({"base", "pose", "six_axes"}),
+        plant=AnsweringForce(Admittance, BASE_JOINTS[:2]),
+        form="integral",
+        remedy=(
+            "Add to base_x and base_y the strap's horizontal force on the interface, passed through a low-pass of first"
+            " order with the smoothing as time constant, times the gain, and its leaky integral (less what it was at"
+            " the start) times the integral gain"
+        ),
+    ),
+    Effect(
+        "controller_reaction",
+        "robot",
+        "F' = -r x on each joint of the base, x from its start, held within a limit: the integral term of the hold",
+        (
+            *(EffectParameter(f"rate_{axis}", "N/m/s", -300.0, 2000.0, (60.0,)) for axis in "xy"),
+            EffectParameter("rate_yaw", "Nm/rad/s", -60.0, 400.0, (12.0,)),
+            *(EffectParameter(f"limit_{axis}", "N", 1.0, 500.0, (30.0,), log=True) for axis in "xy"),
+            EffectParameter("limit_yaw", "Nm", 0.2, 100.0, (6.0,), log=True),
+        ),
+        separating_trial="the same motion with the controller off",
+        at_rest=AtRest((0.0, 0.0, 0.0, 30.0, 30.0, 6.0)),
+        confusable=LOADS,
+        scope="whole",
+        needs=frozenset({"base", "pose", "six_axes"}),
+        plant=AnsweringForce(HoldIntegral, BASE_JOINTS),
+        form="hold_integral",
+        remedy=(
+            "Take from each joint of the base its rate times the integral of where it is from its start, held within"
+            " its limit"
+        ),
+    ),
+)

@@ -1,25 +1,39 @@
-"""Axes that are turned or coupled, and a strap that rests elsewhere."""
+"""Axes that are turned or coupled, and another rest pose."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from real2sim.effects.base import Fields, Where, add_tendon
-from real2sim.geometry import AXES
-from real2sim.system.plant import STRAP_JOINTS
+from real2sim.effects.base import (
+    AtRest,
+    Effect,
+    EffectParameter,
+    Fields,
+    Mechanism,
+    Where,
+    add_tendon,
+    damping,
+    excursion,
+    near_zero,
+    stiffness,
+)
+from real2sim.effects.chains import Chains, Observation
 
-# Tendons over the sum and the difference of two coordinates: what they pull with opposite signs cancels but for the
-# product of the two
+# Effects that are mistaken for each other
+TURNS = ("cross_coupling", "misalignment", "lab_yaw")
+RESTS = ("preload", "tilt", "marker_offset")
+# Tendons over the sum and the difference of two coordinates: with opposite signs they leave the product of the two
 _PRODUCT = ((1, "sum"), (-1, "difference"))
 
 
-def _product(spec: mujoco.MjSpec, ending: str, axes: tuple[int, int]) -> None:
-    """Both tendons over two strap joints."""
-    a, b = (STRAP_JOINTS[i] for i in axes)
+def _product(spec: mujoco.MjSpec, ending: str, joints: tuple[str, str]) -> None:
+    """Add both tendons over two joints."""
+    a, b = joints
     for sign, name in _PRODUCT:
         add_tendon(
             spec, f"{name}_{ending}", {a: 1.0, b: float(sign)}, stiffness=[0, 0, 0], springlength=[0, 0]
@@ -27,67 +41,65 @@ def _product(spec: mujoco.MjSpec, ending: str, axes: tuple[int, int]) -> None:
 
 
 def _set_product(fields: Fields, ending: str, field: str, values: np.ndarray) -> None:
-    """Off-diagonal stiffness or damping (m,): half of it on each."""
+    """Write off-diagonal stiffness or damping (m,): half of it on each tendon."""
     for sign, name in _PRODUCT:
         fields[field][:, fields.tendon(f"{name}_{ending}")] = sign * values / 2
 
 
-class Coupling:
+class Coupling(Mechanism):
     """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone."""
 
     def __init__(self, name: str):
         self._field = name
 
     def build(self, spec, where):
-        """Both tendons."""
-        _product(spec, where.element, where.axes)
+        """Add both tendons."""
+        a, b = where.axes
+        _product(spec, where.element, (where.joint(a), where.joint(b)))
 
-    def set(self, fields, where, parameters, values):
-        """Half the value on each, with opposite signs."""
+    def set(self, fields, where, impedance, values):
+        """Write half the value on each, with opposite signs."""
         _set_product(fields, where.element, self._field, values[:, 0])
 
 
-class TurnedAxes:
-    """All strap axes turned by a rotation vector, values (m, 3) [rad]."""
+class TurnedAxes(Mechanism):
+    """All axes turned by a rotation vector, values (m, 3) [rad]."""
 
-    def build(self, spec, where):
-        """Nothing: axes are fields."""
-
-    def set(self, fields, where, parameters, values):
+    def set(self, fields, where, impedance, values):
         """Turn the axis of each joint."""
         turn = Rotation.from_rotvec(values).as_matrix()
-        for axis in range(6):
+        for axis in range(len(where.system.axes)):
             joint = fields.joint(axis)
             fields["jnt_axis"][:, joint] = turn @ fields.model.jnt_axis[joint]
 
 
-class TurnedLaw:
-    """Stiffness and damping of the strap turned by a rotation vector, its coordinates left as they are: values (m, 3).
+class TurnedLaw(Mechanism):
+    """Stiffness and damping turned by a rotation vector, the coordinates left as they are: values (m, 3) [rad].
 
-    What the turned matrices have beyond those of the strap is on tendons over each coordinate and over each two: it
-    comes on top of whatever law an axis follows.
+    The difference of the turned matrices from the plain ones is on tendons over each coordinate and over each two, on
+    top of whatever law an axis follows.
     """
 
     _blocks = ((0, 1, 2), (3, 4, 5))
 
     def build(self, spec, where):
-        """Tendons of no stiffness."""
-        for axis in range(6):
-            joint = {STRAP_JOINTS[axis]: 1.0}
+        """Add tendons of no stiffness."""
+        for axis in range(len(where.system.axes)):
+            joint = {where.joint(axis): 1.0}
             add_tendon(spec, self._name(where, axis), joint, stiffness=[0, 0, 0], springlength=[0, 0])
         for block in self._blocks:
             for a, b in combinations(block, 2):
-                _product(spec, self._name(where, a, b), (a, b))
+                _product(spec, self._name(where, a, b), (where.joint(a), where.joint(b)))
 
     def _name(self, where: Where, *axes: int) -> str:
-        return "_".join(["turned", *(AXES[a] for a in axes), where.element])
+        return "_".join(["turned", *(where.system.axes[a].name for a in axes), where.element])
 
-    def set(self, fields, where, parameters, values):
-        """What the turned matrices add."""
+    def set(self, fields, where, impedance, values):
+        """Write the difference of the turned matrices."""
         turn = Rotation.from_rotvec(values).as_matrix()
-        for field, first in (("tendon_stiffness", 0), ("tendon_damping", 6)):
+        for field, diagonal in (("tendon_stiffness", impedance.k), ("tendon_damping", impedance.d)):
             for block in self._blocks:
-                plain = parameters[:, first + np.array(block)]
+                plain = diagonal[:, np.array(block)]
                 added = np.einsum("mij,mj,mkj->mik", turn, plain, turn) - plain[:, :, None] * np.eye(3)
                 for i, axis in enumerate(block):
                     fields[field][:, fields.tendon(self._name(where, axis))] = added[:, i, i]
@@ -95,51 +107,136 @@ class TurnedLaw:
                     _set_product(fields, self._name(where, a, b), field, added[:, i, j])
 
 
-def _pelvis_at_rest(model: mujoco.MjModel) -> np.ndarray:
-    """Pelvis in the interface's axes at rest, (3, 3); the interface is level, so the last row is the vertical."""
+def segment_at_rest(model: mujoco.MjModel, segment: str) -> np.ndarray:
+    """Return the segment in the interface's axes at rest, (3, 3); of a level interface the last row is the vertical."""
     rest = np.zeros(9)
-    mujoco.mju_quat2Mat(rest, model.body("pelvis").quat)
+    mujoco.mju_quat2Mat(rest, model.body(segment).quat)
     return rest.reshape(3, 3)
 
 
-class TurnedBack:
-    """All strap axes turned about the vertical against a turn of the pelvis' path, value (m, 1) [rad]."""
+class RestShift(Mechanism):
+    """The axis rests elsewhere, with all laws that it follows: value (m, 1). Set after other effects."""
 
-    def build(self, spec, where):
-        """Nothing: axes are fields."""
+    order = 1
+    moves_rest = True
 
-    def set(self, fields, where, parameters, values):
-        """The path carries the axes along with it; the strap hangs on the person all the same."""
-        vertical = _pelvis_at_rest(fields.model)[2]
-        TurnedAxes().set(fields, where, parameters, -values * vertical)
-
-
-class RestShift:
-    """The axis' strap rests elsewhere, with all laws that it follows there: value (m, 1). Set after other effects."""
-
-    def build(self, spec, where):
-        """Nothing: the rest pose is a field."""
-
-    def set(self, fields, where, parameters, values):
-        """Spring reference of the joint, and lengths at which tendons over it are slack or stop."""
-        rest_moved(fields, where.axes[0], values[:, 0])
+    def set(self, fields, where, impedance, values):
+        """Write the spring reference of the joint, and the lengths at which tendons over it are slack or stop."""
+        move_rest(fields, where.axis, values[:, 0])
 
 
-def rest_moved(fields: Fields, axis: int, by: np.ndarray) -> None:
-    """Move the rest of a strap axis by (m,) [m, rad]: its spring, and where tendons over it are slack or stop."""
-    joint = fields.model.joint(STRAP_JOINTS[axis])
-    fields["qpos_spring"][:, joint.qposadr[0]] += by
-    for index, coefficient in _tendons_over(fields.model, joint.id):
+def move_rest(fields: Fields, axis: int, by: np.ndarray) -> None:
+    """Move the rest of an axis by (m,) [m, rad]: its spring, and where tendons over it are slack or stop."""
+    joint = fields.joint(axis)
+    fields["qpos_spring"][:, fields.model.jnt_qposadr[joint]] += by
+    for index, coefficient in _tendons_over(fields.model, joint):
         fields["tendon_lengthspring"][:, index] += coefficient * by[:, None]
         if fields.model.tendon_limited[index]:
             fields["tendon_range"][:, index] += coefficient * by[:, None]
 
 
 def _tendons_over(model: mujoco.MjModel, joint: int) -> list[tuple[int, float]]:
-    """Fixed tendons over a joint: index and coefficient."""
+    """Return the fixed tendons over a joint: index and coefficient."""
     out = []
     for index, (first, count) in enumerate(zip(model.tendon_adr, model.tendon_num, strict=True)):
         for wrap in range(first, first + count):
             if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT and model.wrap_objid[wrap] == joint:
                 out.append((index, float(model.wrap_prm[wrap])))
     return out
+
+
+class RestTurned(Observation):
+    """The interface rests turned about one of its axes against the neutral trial, value (m, 1) [rad]."""
+
+    of_markers = False
+
+    def true_poses(self, values, seen, context, axes):
+        """Turn the rest pose about the segment's axis; the start is as observed."""
+        turn = Rotation.from_rotvec(values[0] * np.eye(3)[axes[0] - 3]).as_matrix()
+        return replace(seen, rest_rotation=turn @ seen.rest_rotation)
+
+
+_SINGLE = "motions along one axis at a time"
+_STAND = "quiet standing at three headings before and after"
+_TURN = tuple(near_zero(f"turn_{axis}", "rad", 0.2, 0.6) for axis in "xyz")
+
+EFFECTS = (
+    Effect(
+        "cross_coupling",
+        "interface",
+        "F_i = K_ij q_j, F_j = K_ij q_i",
+        (EffectParameter("stiffness", "SI", -0.9, 0.9, (-0.15, 0.15), stiffness),),
+        separating_trial=_SINGLE,
+        at_rest=AtRest((0.0,)),
+        confusable=TURNS,
+        group="F",
+        scope="pair",
+        plant=Coupling("tendon_stiffness"),
+        form="_elastic",
+    ),
+    Effect(
+        "cross_coupling",
+        "interface",
+        "F_i = D_ij qdot_j, F_j = D_ij qdot_i",
+        (EffectParameter("damping", "SI", -0.9, 0.9, (-0.15, 0.15), damping),),
+        separating_trial=_SINGLE,
+        at_rest=AtRest((0.0,)),
+        confusable=TURNS,
+        group="F",
+        scope="pair",
+        plant=Coupling("tendon_damping"),
+        form="_viscous",
+    ),
+    Effect(
+        "misalignment",
+        "interface",
+        "interface axes turned by a rotation vector",
+        _TURN,
+        separating_trial=_SINGLE,
+        at_rest=AtRest((0.0, 0.0, 0.0)),
+        confusable=TURNS,
+        group="F",
+        scope="whole",
+        needs=frozenset({"six_axes"}),
+        plant=TurnedAxes(),
+    ),
+    Effect(
+        "misalignment",
+        "interface",
+        "F = R K R' q + R D R' qdot: stiffness and damping turned by a rotation vector, the coordinates as they are",
+        _TURN,
+        separating_trial=_SINGLE,
+        at_rest=AtRest((0.0, 0.0, 0.0)),
+        confusable=TURNS,
+        group="F",
+        scope="whole",
+        needs=frozenset({"six_axes"}),
+        plant=TurnedLaw(),
+        form="law",
+    ),
+    Effect(
+        "preload",
+        "interface",
+        "F = k (q - q0)",
+        (EffectParameter("rest_shift", "m|rad", -2.0, 2.0, (-0.2, 0.2), excursion),),
+        separating_trial=_STAND,
+        at_rest=AtRest((0.0,)),
+        confusable=RESTS,
+        group="S",
+        plant=RestShift(),
+    ),
+    Effect(
+        "preload",
+        "interface",
+        "the strap rests turned about an axis, and its other axes turn with it",
+        (EffectParameter("rest_turn", "rad", -2.0, 2.0, (-0.2, 0.2), excursion),),
+        separating_trial=_STAND,
+        at_rest=AtRest((0.0,)),
+        confusable=RESTS,
+        group="S",
+        scope="turn",
+        needs=frozenset({"pose", "six_axes"}),
+        chains=Chains(observation=RestTurned()),
+        form="_turned",
+    ),
+)

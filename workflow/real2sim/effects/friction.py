@@ -5,52 +5,67 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from real2sim.effects.base import Where
-from real2sim.system.plant import STRAP_JOINTS
+from real2sim.effects.base import (
+    AtRest,
+    Effect,
+    EffectParameter,
+    Mechanism,
+    Where,
+    excursion,
+    interface_force,
+    rate,
+)
+
+# Effects that are mistaken for each other
+LOSSES = ("coulomb", "lugre", "hysteresis", "relaxation", "creep", "quadratic_damping")
+# An axis that hardly slips is fitted as a stiff one, and friction beyond its force in the plain fit holds it
+FRICTION = EffectParameter("force", "N|Nm", 0.002, 15.0, (0.05, 0.3), interface_force, log=True)
 
 
-class DryFriction:
+class DryFriction(Mechanism):
     """Coulomb friction as a constraint, which sticks and slips at any time step: value (m, 1) is its force.
 
     The constraint is made as hard as MuJoCo allows; its default lets the joint creep.
     """
 
+    sticks = True
+
     def build(self, spec, where):
-        """Friction of the joint, which has to be there when compiled."""
-        joint = spec.joint(STRAP_JOINTS[where.axes[0]])
+        """Give the joint friction, which has to be there when compiled."""
+        joint = spec.joint(where.joint())
         joint.frictionloss = 1e-6
         joint.solref_friction = [2.0 * spec.option.timestep, 1.0]
         joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
-    def set(self, fields, where, parameters, values):
+    def set(self, fields, where, impedance, values):
         """Write the force."""
-        fields["dof_frictionloss"][:, fields.dof(where.axes[0])] = np.maximum(values[:, 0], 1e-9)
+        fields["dof_frictionloss"][:, fields.dof(where.axis)] = np.maximum(values[:, 0], 1e-9)
 
 
 class UnevenFriction(DryFriction):
-    """Dry friction that differs by direction: values (m, 2) are its mean and how much more of it resists upward motion.
+    """Dry friction that differs by direction: values (m, 2) are its mean and the excess against upward motion.
 
-    It is even friction beside a constant force, moving and sticking.
+    It equals even friction beside a constant force, moving and sticking.
     """
 
     def build(self, spec, where):
-        """Friction of the joint, and an actuator without a command."""
+        """Give the joint friction and an actuator without a command."""
         super().build(spec, where)
         _without_command(spec, f"uneven_{where.element}", where)
 
-    def set(self, fields, where, parameters, values):
-        """Even friction, and the force."""
-        super().set(fields, where, parameters, values)
+    def set(self, fields, where, impedance, values):
+        """Write the even friction and the force."""
+        super().set(fields, where, impedance, values)
         index = fields.model.actuator(f"uneven_{where.element}").id
         fields["actuator_biasprm"][:, index, 0] = -values[:, 0] * values[:, 1]
 
 
 def _without_command(spec: mujoco.MjSpec, name: str, where: Where, **attributes) -> None:
-    """An actuator of the axis whose force depends on nothing but the joint."""
+    """Add an actuator of the axis whose force depends on nothing but the joint."""
     actuator = spec.add_actuator(
         name=name,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        target=STRAP_JOINTS[where.axes[0]],
+        target=where.joint(),
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         **attributes,
@@ -58,12 +73,13 @@ def _without_command(spec: mujoco.MjSpec, name: str, where: Where, **attributes)
     actuator.gainprm = [0] * 10
 
 
-class SmoothFriction:
+class SmoothFriction(Mechanism):
     """Friction that fades towards standstill, f tanh(qdot / rate): values (m, 2) are force and rate.
 
     Dampers that saturate, whose sum runs along the tangent hyperbolic: it creeps where dry friction holds.
     """
 
+    substeps = 4
     _parts = 3
 
     def __init__(self):
@@ -76,17 +92,17 @@ class SmoothFriction:
         return [f"smooth_{i}_{where.element}" for i in range(self._parts)]
 
     def build(self, spec, where):
-        """Actuators without a command that brake up to a force."""
+        """Add actuators without a command that brake up to a force."""
         for name in self._names(where):
             limited = mujoco.mjtLimited.mjLIMITED_TRUE
             _without_command(spec, name, where, forcelimited=limited, forcerange=[-1, 1])
 
-    def set(self, fields, where, parameters, values):
-        """Slope and limit of each damper, the slopes held to what the time step bears together."""
+    def set(self, fields, where, impedance, values):
+        """Write slope and limit of each damper, all slopes together limited to what the time step allows."""
         force, rate = values.T
         limit = force[:, None] * self._weights
         slope = limit / (rate[:, None] * self._rates)
-        most = fields.hardest(where.axes[0])
+        most = fields.hardest(where.axis)
         slope *= np.minimum(1, most / slope.sum(axis=1, keepdims=True))
         for i, name in enumerate(self._names(where)):
             index = fields.model.actuator(name).id
@@ -94,18 +110,20 @@ class SmoothFriction:
             fields["actuator_forcerange"][:, index] = np.stack([-limit[:, i], limit[:, i]], axis=1)
 
 
-class Bristles:
+class Bristles(Mechanism):
     """LuGre friction of MuJoCo's motor model: values are Coulomb force, static excess, deflection, Stribeck rate.
 
     Source: Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995) 419.
     """
 
+    substeps = 4
+
     def build(self, spec, where):
-        """A passive motor without an electrical side."""
+        """Add a passive motor without an electrical side."""
         actuator = spec.add_actuator(
             name=f"bristles_{where.element}",
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            target=STRAP_JOINTS[where.axes[0]],
+            target=where.joint(),
         )
         # the compiled form of <dcmotor input="none" motorconst="0" resistance="1" lugre="...">, which the interface for
         # descriptions refuses to write because it wants a motor constant
@@ -117,9 +135,9 @@ class Bristles:
         actuator.dynprm = [0, 0, 0, 0, 0, 1, 0.1, 0, 0, 0]
         actuator.ctrlspec, actuator.actdim, actuator.actearly = 0, 1, True
 
-    def set(self, fields, where, parameters, values):
-        """Bristle stiffness so that it slips at the deflection, bristles damped half critically for the step."""
-        axis = where.axes[0]
+    def set(self, fields, where, impedance, values):
+        """Write a bristle stiffness at which it slips at the deflection, limited to what the time step allows."""
+        axis = where.axis
         index = fields.model.actuator(f"bristles_{where.element}").id
         force, excess, deflection, rate = values.T
         stiffness = np.minimum(np.abs(force) / deflection, fields.stiffest(axis))
@@ -128,3 +146,60 @@ class Bristles:
         fields["actuator_biasprm"][:, index, 3] = force
         fields["actuator_biasprm"][:, index, 4] = force * (1 + excess)
         fields["actuator_biasprm"][:, index, 5] = rate
+
+
+EFFECTS = (
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc sgn(qdot)",
+        (FRICTION,),
+        separating_trial="slow ramps and reversals at several speeds",
+        at_rest=AtRest((1e-9,), limit="no force"),
+        confusable=LOSSES,
+        group="V",
+        plant=DryFriction(),
+    ),
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc (1 + uneven sgn(qdot)) sgn(qdot)",
+        (FRICTION, EffectParameter("uneven", "1", -0.95, 0.95, (0.0,))),
+        separating_trial="slow ramps and reversals at several speeds",
+        at_rest=AtRest((1e-9, 0.0), limit="no force"),
+        confusable=LOSSES,
+        group="V",
+        plant=UnevenFriction(),
+        form="_uneven",
+    ),
+    Effect(
+        "coulomb",
+        "interface",
+        "F = Fc tanh(qdot / rate): friction that fades towards standstill",
+        (
+            FRICTION,
+            EffectParameter("rate", "m/s|rad/s", 0.003, 1.0, (0.05,), rate, log=True),
+        ),
+        separating_trial="slow ramps and reversals at several speeds",
+        at_rest=AtRest((1e-9, 0.05), limit="no force"),
+        confusable=LOSSES,
+        group="V",
+        plant=SmoothFriction(),
+        form="_smooth",
+    ),
+    Effect(
+        "lugre",
+        "interface",
+        "F = s0 z, zdot = v - s0 |v| z / (Fc + (Fs - Fc) exp(-(v/vs)^2))",
+        (
+            FRICTION,
+            EffectParameter("static_excess", "1", 0.05, 2.0, (0.5,)),
+            EffectParameter("deflection", "m|rad", 0.005, 0.2, (0.03,), excursion, log=True),
+            EffectParameter("stribeck_rate", "m/s|rad/s", 0.01, 1.0, (0.1,), rate, log=True),
+        ),
+        separating_trial="sub-millimetre reversals and a ladder of speeds",
+        at_rest=AtRest((1e-9, 0.5, 0.03, 0.1), limit="no force"),
+        confusable=LOSSES,
+        plant=Bristles(),
+    ),
+)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from real2sim.effects.chains import slides
+from real2sim.effects.markers import slides
 from real2sim.geometry import pelvis_frame
 
 # Spans whose means are taken as independent of each other, and how many a trend needs [s]

@@ -11,25 +11,24 @@ import numpy as np
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.evidence import BALANCE
-from real2sim.effects.base import Scales, Where
-from real2sim.effects.catalogue import EFFECTS, Effect, Placed
-from real2sim.effects.planned import DrivenForce
+from real2sim.effects.base import NATIVE, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.errors import InputError
 from real2sim.files import write_text
-from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import marker_noise
+from real2sim.study.strap import strap_system
 from real2sim.study.strap_recording import load_evidence
+from real2sim.system.description import System
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
-NATIVE, PLANNED, CHAIN = "in the model", "planned force, not in the model", "not a model"
 
 
-def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[np.ndarray]]:
+def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[list[Placed], list[np.ndarray]]:
     """Effects at their places and their searched numbers (p,), from the entry ``model`` of diagnosis.json.
 
     Raises
@@ -40,27 +39,20 @@ def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[
     scales = Scales(**{name: np.array(model["scales"][name]) for name in _SCALES})
     placed, x = [], []
     for entry in model["effects"]:
-        where = tuple(AXES.index(axis) for axis in entry["axes"])
+        where = tuple(system.axis_names.index(axis) for axis in entry["axes"])
         found = [e for e in EFFECTS if (e.name, e.form) == (entry["effect"], entry["form"])]
         if not found or len(found[0].parameters) != len(entry["searched"]):
             raise InputError(
                 source,
                 "model.effects",
                 f"{entry['effect']}{entry['form']} with {len(entry['searched'])} parameters",
-                "an effect of the catalogue (coupling/effects.py)",
+                "an effect of the catalogue (docs/effects.md)",
                 "Run the diagnosis again.",
             )
         effect = found[0]
-        placed.append(Placed(effect, Where(where, entry["side"], effect.form, effect.name), scales))
+        placed.append(Placed(effect, effect.place(system, where, entry["side"]), scales))
         x.append(np.array(entry["searched"], float))
     return placed, x
-
-
-def kind(effect: Effect) -> str:
-    """Whether an effect is part of a model, a force that is planned for it, or about what goes in and comes out."""
-    if effect.input_chain or effect.output_chain or (effect.sighting and effect.sighting.of_markers):
-        return CHAIN
-    return PLANNED if isinstance(effect.plant, DrivenForce) else NATIVE
 
 
 def export_model(
@@ -107,7 +99,7 @@ def export_model(
     )
     settings = answer["settings"]
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
-    effects, x = effects_of(answer["model"], diagnosis)
+    effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
     scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
     evidence = load_evidence(
         folder=train,
@@ -141,7 +133,7 @@ def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
     return {
         "effect": effect.name,
         "form": effect.form.strip("_"),
-        "status": kind(effect),
+        "status": effect.exported,
         "axes": placed.axes,
         "side": placed.where.side,
         "equation": effect.equation,

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -21,9 +20,10 @@ from scipy.linalg import block_diag
 
 from real2sim import signals
 from real2sim.diagnosis.whitening import Bands, Whitening
-from real2sim.effects.base import Scales, Where
-from real2sim.effects.catalogue import EFFECTS, Effect, EffectParameter, Placed
-from real2sim.effects.chains import Context, Elsewhere
+from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.chains import Chains, Context, Elsewhere
+from real2sim.effects.replay import EffectReplay, InputBasis
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from real2sim.inference.cost import TrialCost
 from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes
@@ -32,8 +32,8 @@ from real2sim.recording.pelvis import lowpass_from_standing, rigid_markers
 from real2sim.recording.skin import Skin
 from real2sim.recording.trial import Trial, replay_inputs
 from real2sim.study import strap_localise
+from real2sim.system.description import System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.effect_replay import EffectReplay, InputBasis
 from real2sim.system.plant import STRAP_JOINTS, JointLimits
 
 # What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
@@ -47,22 +47,17 @@ ODOMETRY_SCALE_SD = 0.005
 LOG_CUTOFF_HZ = 5.0
 # Most parts of a time step while a cause is only searched for
 COARSE = 2
-# A strap that rests elsewhere along one axis, and a robot that starts elsewhere
-_RESTS = [
-    (effect, where)
-    for effect in EFFECTS
-    if effect.name == "preload" and not effect.form
-    for where in effect.places()
-]
+# A rest pose that differs along one axis, and a start pose that differs from the observed one
+_REST = next(effect for effect in EFFECTS if effect.name == "preload" and not effect.form)
 _START = Effect(
     "start",
     "robot",
-    "the robot stands elsewhere at the start than it was seen",
+    "the start pose of the robot differs from the observed one",
     tuple(EffectParameter(f"start_{axis}", "m|rad", -1.0, 1.0, (0.0,)) for axis in AXES),
-    "start",
-    "",
+    separating_trial="",
+    at_rest=AtRest((0.0,) * len(AXES)),
     scope="whole",
-    sighting=Elsewhere(),
+    chains=Chains(observation=Elsewhere()),
 )
 # How far the start is moved to learn what that does [m, rad]
 _START_STEP = 1e-3
@@ -121,10 +116,10 @@ class Elsewheres:
 
 @dataclass(frozen=True)
 class PlantSetup:
-    """What a replay of the trial is built from: settings, MJCF of the robot, joint limits, threads of a simulation."""
+    """What a replay of the trial is built from: system, settings, joint limits, threads of a simulation."""
 
+    system: System
     settings: dict[str, Any]
-    robot_file: Path
     limits: JointLimits | None
     threads: int = 1
 
@@ -215,7 +210,7 @@ class StrapEvidence:
         ``coarse``: at half of the time step at least, which is less exact and costs less.
         """
         trial = self.trial
-        parts = max([1, *(e.effect.substeps for e in effects)])
+        parts = max([1, *(e.effect.plant.substeps for e in effects)])
         h = float(self.setup.settings["plant"]["timestep_s"]) / (min(parts, COARSE) if coarse else parts)
         if h not in self.cache.drives:
             rotation, position = trial.pelvis_rotation, trial.pelvis_position
@@ -226,7 +221,8 @@ class StrapEvidence:
             effects=effects,
             context=replace(self.context, step_time_s=steps, held_out=self.held_out),
             scales=self.scales,
-            **replay_inputs(trial, self.setup.limits, self.setup.robot_file, settings),
+            system=self.setup.system,
+            **replay_inputs(trial, self.setup.limits, self.setup.system.model, settings),
             nsim=nsim,
             drive=self.cache.drives[h],
             bases=self.cache.bases,
@@ -472,8 +468,8 @@ class StrapEvidence:
         (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
         for a hold one SD off (`hold_uncertainty`), by robot joint, none for a robot that is let go.
         """
-        effects = [Placed(effect, where, self.scales) for effect, where in _RESTS]
-        effects.append(Placed(_START, Where((), 0, "", _START.name), self.scales))
+        effects = [Placed(_REST, where, self.scales) for where in _REST.places(self.setup.system)]
+        effects.append(Placed(_START, _START.place(self.setup.system), self.scales))
         off = block_diag(*map(np.diag, self.levels.hold_sd)) if self.settled else np.empty((0, 12))
         m = 1 + 2 * 6 + len(off)
         x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]

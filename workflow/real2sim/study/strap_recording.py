@@ -28,6 +28,7 @@ from real2sim.recording.tables import (
     without_filled,
 )
 from real2sim.recording.trial import Trial, load_limits, load_trial
+from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
 from real2sim.system.plant import impedances, load_robot
 
@@ -77,7 +78,9 @@ def load_evidence(
     ones = np.ones(6)
     scales = Scales(_large(recorded.coordinates), _large(qd), ones, ones, ones)
     known = None if limits is None else load_limits(limits)
-    return StrapEvidence(recorded, levels, scales, PlantSetup(settings, robot, known, threads), settled)
+    return StrapEvidence(
+        recorded, levels, scales, PlantSetup(strap_system(robot, settings), settings, known, threads), settled
+    )
 
 
 def _read(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -329,6 +329,12 @@ def _markers(given: Mapping[str, Any]) -> Markers:
     return Markers(
         tuple(segment["names"]), segment["frame"], dict(interface["sites"]) or None, interface["frame"]
     )
+
+
+@cache
+def shipped_system(name: str) -> System:
+    """Return a system that comes with the library, as its description says."""
+    return System.from_yaml(shipped(name) / "system.yaml")
 
 
 def shipped(name: str) -> Path:

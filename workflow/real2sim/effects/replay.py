@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,18 +10,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from real2sim.effects.base import Fields, Scales
-from real2sim.effects.catalogue import Placed
-from real2sim.effects.chains import Context, Sight
+from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
+from real2sim.effects.chains import Context, Poses
 from real2sim.effects.controller import Answer
-from real2sim.effects.frames import RestShift, rest_moved
-from real2sim.effects.friction import DryFriction
-from real2sim.effects.memory import FlowingMaxwell, Maxwell
-from real2sim.effects.planned import AnsweringForce, DrivenForce, PlannedForce, StandingForce
-from real2sim.effects.robot import YieldBeyondWheels
-from real2sim.effects.springs import Stop
+from real2sim.effects.frames import move_rest
+from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.plant import ROBOT_JOINTS, RestPose, robot_pose_for
+from real2sim.system.plant import RestPose, robot_pose_for
 from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 
 # Length of the windows after which a controller that answers the strap is asked again: against windows of one step, an
@@ -77,6 +72,8 @@ class EffectReplay(Replay):
     settled
         Whether the robot had come to rest against the strap before the path begins: its controller then holds where
         that balances what pulls at the start, and not at the start pose.
+    system
+        Whose joints, axes and bodies the effects act on; by default the strap's.
     replay
         Arguments of `Replay`.
     """
@@ -89,40 +86,38 @@ class EffectReplay(Replay):
         scales: Scales,
         bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
         settled: bool = False,
+        system: System | None = None,
         **replay,
     ):
         self.effects, self._settled = tuple(effects), settled
+        self.system = system or shipped_system("strap")
         self._context, self._scales = context, scales
-        self._frictional = any(isinstance(placed.effect.plant, DryFriction) for placed in self.effects)
-        self._stopped = any(isinstance(placed.effect.plant, Stop) for placed in self.effects)
-        # a strap that rests elsewhere takes its other laws along: it is set last
-        rests = [isinstance(placed.effect.plant, RestShift) for placed in self.effects]
-        self._standing = [
-            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, StandingForce)
-        ]
-        self._shifted = any(rests) or bool(self._standing)
-        self._order = sorted(range(len(rests)), key=lambda i: rests[i])
-        self._answering = [
-            i for i, placed in enumerate(self.effects) if isinstance(placed.effect.plant, AnsweringForce)
-        ]
+        plants = [placed.effect.plant for placed in self.effects]
+        self._frictional = any(plant.sticks for plant in plants)
+        self._stopped = any(plant.weighed for plant in plants)
+        self._standing = [i for i, plant in enumerate(plants) if plant.acts_in_neutral]
+        self._shifted = any(plant.moves_rest for plant in plants) or bool(self._standing)
+        self._order = sorted(range(len(plants)), key=lambda i: plants[i].order)
+        self._laws = {i: plant.law for i, plant in enumerate(plants) if plant.law is not None}
         super().__init__(**replay)
-        first = self.model.sensor(f"robot_{ROBOT_JOINTS[0]}").adr[0]
-        self._robot_columns = slice(first, first + 6)
-        self._robot_joints = np.array([self.model.joint(name).id for name in ROBOT_JOINTS])
+        machine = self.system.machine_joints
+        first = self.model.sensor(f"robot_{machine[0]}").adr[0]
+        self._robot_columns = slice(first, first + len(machine))
+        self._robot_joints = np.array([self.model.joint(name).id for name in machine])
         # several turns of the rest pose make R_x R_y R_z, as the interface's coordinates do: z is applied first
         self._sightings = sorted(
-            (i for i, placed in enumerate(self.effects) if placed.effect.sighting),
+            (i for i, placed in enumerate(self.effects) if placed.effect.chains.observation),
             key=lambda i: [-axis for axis in self.effects[i].where.axes],
         )
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
-        self._parameters = np.empty((0, 12))
+        self._impedance = self._impedance_of(np.empty((0, len(self.system.parameters))))
         self._beside = np.zeros((self._batch.nsim, 6))
         self._swaying = np.zeros((self._batch.nsim, 6))
         # pelvis command of each simulation before any input chain
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
-        chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.input_chain}
+        chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.chains.input}
         bases = {} if bases is None else bases
         self._basis = {}
         for i, placed in chains.items():
@@ -131,34 +126,29 @@ class EffectReplay(Replay):
             if key not in bases:
                 bases[key] = self._input_basis(placed)
             self._basis[i] = bases[key]
-        self._columns_of = {
-            i: placed.effect.plant.columns(self.model, placed.where)
-            for i, placed in enumerate(self.effects)
-            if isinstance(placed.effect.plant, DrivenForce)
-        }
+        columns = [placed.effect.plant.columns(self.model, placed.where) for placed in self.effects]
+        self._columns_of = {i: found for i, found in enumerate(columns) if len(found)}
 
     def _extend(self, spec: mujoco.MjSpec) -> None:
         logged: dict[str, str] = {}
         for placed in self.effects:
-            if isinstance(placed.effect.plant, YieldBeyondWheels):
-                logged |= placed.effect.plant.logged(placed.where)
-        for name in ROBOT_JOINTS:
+            logged |= placed.effect.plant.logged(placed.where)
+        for name in self.system.machine_joints:
             spec.add_sensor(
                 name=f"robot_{name}",
                 type=mujoco.mjtSensor.mjSENS_JOINTPOS,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=logged.get(name, name),
             )
-        if any(placed.effect.sighting for placed in self.effects):
+        if any(placed.effect.chains.observation for placed in self.effects):
             spec.add_sensor(
                 name="interface_rotation",
                 type=mujoco.mjtSensor.mjSENS_FRAMEQUAT,
                 objtype=mujoco.mjtObj.mjOBJ_XBODY,
-                objname="interface",
+                objname=self.system.body,
             )
         for placed in self.effects:
-            if placed.effect.plant is not None:
-                placed.effect.plant.build(spec, placed.where)
+            placed.effect.plant.build(spec, placed.where)
         if self._frictional:
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
@@ -168,7 +158,7 @@ class EffectReplay(Replay):
         One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
         a tenth of its range: a lever arm of metres makes the square count.
         """
-        context, chain = self._context, placed.effect.input_chain
+        context, chain = self._context, placed.effect.chains.input
         assert chain is not None
         zero = servo_command(self.drive), _first(self.drive)
 
@@ -191,6 +181,14 @@ class EffectReplay(Replay):
             scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
             parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
         return InputBasis(*parts)
+
+    def _impedance_of(self, parameters: np.ndarray) -> InterfaceImpedance:
+        """Stiffness and damping of each axis for parameters (m, p): the model's own where they are no parameters."""
+        dofs = self._dofs
+        return InterfaceImpedance(
+            by_axis(parameters, self.system.stiffness_of_axis, self.model.jnt_stiffness[self._joints]),
+            by_axis(parameters, self.system.damping_of_axis, self.model.dof_damping[dofs]),
+        )
 
     def _own(self, placed: Placed, x: np.ndarray) -> np.ndarray:
         """SI values (m, p) of those of the searched numbers (m, p) that say something of this trial."""
@@ -220,11 +218,13 @@ class EffectReplay(Replay):
         self._sights, self._headings = [], np.zeros(m)
         seen = self._start_pose
         for k in range(m):
-            sight = Sight(seen.rotation, seen.position, seen.rest.rotation, seen.rest.position)
+            sight = Poses(seen.rotation, seen.position, seen.rest.rotation, seen.rest.position)
             for i in self._sightings:
-                sighting = self.effects[i].effect.sighting
-                assert sighting is not None
-                sight = sighting.true(self._values[i][k], sight, self._context, self.effects[i].where.axes)
+                observation = self.effects[i].effect.chains.observation
+                assert observation is not None
+                sight = observation.true_poses(
+                    self._values[i][k], sight, self._context, self.effects[i].where.axes
+                )
             rest = RestPose(sight.rest_rotation, sight.rest_position)
             # only the strap rests elsewhere: the robot stands where it was seen
             if sight.rotation is seen.rotation and sight.position is seen.position:
@@ -269,7 +269,7 @@ class EffectReplay(Replay):
         """
         m = len(parameters)
         values = [self._own(placed, part) for placed, part in zip(self.effects, x, strict=True)]
-        self._values, self._parameters = values, parameters
+        self._values, self._impedance = values, self._impedance_of(parameters)
         if self._sightings:
             self._see(m)
         sensors = self._simulate(parameters)
@@ -281,10 +281,10 @@ class EffectReplay(Replay):
         if self._sightings and len(done):
             paths[done], joints[done] = self._seen(paths[done], joints[done], sensors[done], done)
         for placed, value in zip(self.effects, values, strict=True):
-            if placed.effect.output_chain is not None and len(done):
-                paths[done] = placed.effect.output_chain(paths[done], value[done], self._context)
-            if placed.effect.log_chain is not None and len(done):
-                joints[done] = placed.effect.log_chain(joints[done], value[done], self._context)
+            if placed.effect.chains.output is not None and len(done):
+                paths[done] = placed.effect.chains.output(paths[done], value[done], self._context)
+            if placed.effect.chains.log is not None and len(done):
+                joints[done] = placed.effect.chains.log(joints[done], value[done], self._context)
         assert len(paths) == m
         return paths, joints
 
@@ -300,16 +300,16 @@ class EffectReplay(Replay):
         rotation = Rotation.from_quat(wxyz.reshape(-1, 4), scalar_first=True).as_matrix()
         rotation = rotation.reshape(*wxyz.shape[:2], 3, 3)
         for i in reversed(self._sightings):
-            sighting = self.effects[i].effect.sighting
-            assert sighting is not None
-            paths = sighting.seen(paths, rotation, self._values[i][which], self._context)
+            observation = self.effects[i].effect.chains.observation
+            assert observation is not None
+            paths = observation.observe(paths, rotation, self._values[i][which], self._context)
         heading = self._headings[which, None]
         c, s = np.cos(heading), np.sin(heading)
         x, y = joints[..., 0], joints[..., 1]
         return paths, np.stack([c * x - s * y, s * x + c * y, *np.moveaxis(joints[..., 2:], 2, 0)], axis=2)
 
     def _roll(self, m: int) -> np.ndarray:
-        fields = Fields(self._batch, self.model, m, self._scales)
+        fields = Fields(self._batch, self.model, m, self._scales, self.system)
         others = np.setdiff1d(np.arange(self.model.nv), self._dofs)
         if self._frictional:
             self._armature[:m, others] = self.model.dof_armature[others]
@@ -323,13 +323,14 @@ class EffectReplay(Replay):
                 fields[name][:] = getattr(self.model, name)
         for i in self._order:
             placed, values = self.effects[i], self._values[i]
-            if placed.effect.plant is not None:
-                placed.effect.plant.set(fields, placed.where, self._parameters, values)
+            placed.effect.plant.set(fields, placed.where, self._impedance, values)
             if i in self._basis or i in self._columns_of:
                 self._add_control(i, placed, values, m)
         # a robot at rest has balanced what pulls, in the neutral trial as well
         if self._standing and not self._settled:
             self._stretch_at_rest(fields, m)
+        for placed, values in zip(self.effects, self._values, strict=True):
+            placed.effect.plant.before_run(fields, placed.where, self._impedance, values)
         if self._shifted and self.model.tendon_springyield.any():
             # MuJoCo's reset lets what yields begin where the springs rest, which was another place before
             self._reset_to(self._state(m))
@@ -339,7 +340,7 @@ class EffectReplay(Replay):
             self._armature[:m] += self.model.opt.timestep * self._damping[:m]
         if self._stopped:
             self._weigh(m)
-        if self._answering:
+        if self._laws:
             return self._roll_answering(fields, m)
         if self._settled:
             self._settle(fields, m)
@@ -367,19 +368,18 @@ class EffectReplay(Replay):
     def _pull_while_standing(self, m: int) -> np.ndarray:
         """Force (m, 2) [N, world] on the interface that springs and dampers make of the measured coordinates."""
         context, start = self._context, self._context.start
-        force = self._parameters[:m, None, :3] * context.coordinates[:start, :3]
-        force = -(force + self._parameters[:m, None, 6:9] * context.rates[:start, :3])
+        k, d = self._impedance.k[:m, None, :3], self._impedance.d[:m, None, :3]
+        force = k * context.coordinates[:start, :3]
+        force = -(force + d * context.rates[:start, :3])
         return np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start
 
     def _begin(self, pulled: np.ndarray) -> dict[int, Answer]:
         """Controllers up to the start, where the strap pulled with (m, 2) [N], by number of their effect."""
         m, h = len(pulled), self.model.opt.timestep
         answers = {}
-        for i in self._answering:
-            plant = self.effects[i].effect.plant
-            assert isinstance(plant, AnsweringForce)
-            before = pulled if plant.law.hears == "strap" else np.zeros((m, 3))
-            answers[i] = Answer(plant.law(self._values[i][:m], before, h), before, h, self.nstep)
+        for i, law in self._laws.items():
+            before = pulled if law.hears == "strap" else np.zeros((m, 3))
+            answers[i] = Answer(law(self._values[i][:m], before, h), before, h, self.nstep)
             self._control[:m, :1, self._columns_of[i]] = answers[i].plan(1)
         return answers
 
@@ -435,8 +435,7 @@ class EffectReplay(Replay):
         joints, adr, dofs = self._chain
         position, velocity = self._state(m)
         for placed in self.effects:
-            if isinstance(placed.effect.plant, (Maxwell, FlowingMaxwell)):
-                placed.effect.plant.relax(fields, placed.where, position)
+            placed.effect.plant.relax(fields, placed.where, position)
         springs = fields["qpos_spring"]
         springs[:, adr] = position[:, adr]
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
@@ -477,18 +476,18 @@ class EffectReplay(Replay):
         force = np.zeros((m, model.nv))
         for i in self._standing:
             plant, columns = self.effects[i].effect.plant, self._columns_of[i]
-            assert isinstance(plant, StandingForce)
             driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
-            planned = plant.force(self._values[i], context, self.effects[i].where, self._parameters[:m])
+            planned = plant.force(self._values[i], context, self.effects[i].where, self._impedance)
+            assert planned is not None
             force[:, driven] += planned[:, 0]
         pulled = force[:, robot]
         pulled[:, :2] = pulled[:, :2] @ heading[:2, :2].T
         stiffness = held[:, :, None] * np.eye(len(robot)) + np.einsum(
-            "ai,ma,aj->mij", follow, self._parameters[:m, :6], follow
+            "ai,ma,aj->mij", follow, self._impedance.k[:m], follow
         )
         stretch = np.linalg.solve(stiffness, pulled[..., None])[..., 0] @ follow.T
         for axis in range(len(self._dofs)):
-            rest_moved(fields, axis, -stretch[:, axis])
+            move_rest(fields, axis, -stretch[:, axis])
 
     def as_simulated(self) -> Simulated:
         """As of `Replay`; what relaxes starts where it has done so."""
@@ -542,9 +541,21 @@ class EffectReplay(Replay):
         if i in self._basis:
             basis = self._basis[i]
             self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
-        elif isinstance(placed.effect.plant, PlannedForce):
-            force = placed.effect.plant.force(values, self._context, placed.where, self._parameters[:m])
-            self._control[:m, :, self._columns_of[i]] += force
+        else:
+            force = placed.effect.plant.force(values, self._context, placed.where, self._impedance)
+            if force is not None:
+                self._control[:m, :, self._columns_of[i]] += force
+
+
+def by_axis(parameters: np.ndarray, index_of: Mapping[int, int], own: np.ndarray) -> np.ndarray:
+    """Return one parameter for each axis, (m, axes) of (m, p), by its index; ``own`` (axes,) where there is none.
+
+    A view where the parameters of all axes are side by side.
+    """
+    index = [index_of.get(axis, -1) for axis in range(len(own))]
+    if index == list(range(index[0], index[0] + len(own))) and index[0] >= 0:
+        return parameters[:, index[0] : index[0] + len(own)]
+    return np.where(np.array(index) >= 0, parameters[:, np.maximum(index, 0)], own)
 
 
 def _first(drive: PelvisDrive) -> np.ndarray:

@@ -1,0 +1,99 @@
+"""Soft tissue: pelvis markers that move over the bone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
+from real2sim.effects.chains import Chains
+
+# Newton iterations in which the bone's angles are found whose skin shows the measured ones
+_BONE_ROUNDS = 6
+
+
+def soft_tissue(values, context):
+    """Return the path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
+    # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
+    start = context.pelvis_rotation[0]
+    shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
+    seen = Rotation.from_matrix(start.T @ context.pelvis_rotation)
+    angles, slope = np.zeros((len(context.pelvis_rotation), 3)), np.eye(3) + turn
+    for _ in range(_BONE_ROUNDS):
+        beyond = (_from_cardan(angles).inv() * seen).as_rotvec() - angles @ turn.T
+        angles = angles + np.linalg.solve(slope, beyond.T).T
+    rotation = start @ _from_cardan(angles).as_matrix()
+    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
+
+
+def wobbling_tissue(values, context):
+    """Return the path of the bone under skin that rings, values (20,): of `soft_tissue`, lag [s], mobility [s^2].
+
+    Skin on a spring and a damper follows the bone as a mass does: its own pose, plus its rate times the lag, plus its
+    acceleration times the mobility (one over the square of its angular frequency) is its pose without mass.
+    """
+    start = context.pelvis_rotation[0]
+    turn = Rotation.from_matrix(start.T @ context.pelvis_rotation).as_rotvec()
+    path = CubicSpline(context.time_s, np.hstack([context.pelvis_position, turn]))
+    still = path(context.time_s[0], 1)
+    bone = path(context.time_s) + values[18] * (path(context.time_s, 1) - still)
+    bone += values[19] * path(context.time_s, 2)
+    rotation = start @ Rotation.from_rotvec(bone[:, 3:]).as_matrix()
+    return soft_tissue(values[:18], replace(context, pelvis_rotation=rotation, pelvis_position=bone[:, :3]))
+
+
+def _from_cardan(angles):
+    """Return rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
+
+
+_SKIN = (
+    *(near_zero(f"shift_{a}_by_r{b}", "m/rad", 0.03, 0.3) for a in "xyz" for b in "xyz"),
+    *(near_zero(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 1.5) for a in "xyz" for b in "xyz"),
+)
+_BONE = (
+    "solve R = R0 R_z R_y R_x(v) exp(turn v) for the Cardan angles v, R its rotation and R0 that at the start (Newton,"
+    " with the slope 1 + turn); the bone is turned by B = R0 R_z R_y R_x(v), and its position is the pelvis' less"
+    " B (shift v)"
+)
+
+EFFECTS = (
+    Effect(
+        "soft_tissue",
+        "input",
+        "pelvis markers move over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the start",
+        _SKIN,
+        separating_trial="a marker cluster beside the pelvis markers, quiet standing and a passive pull",
+        at_rest=AtRest((0.0,) * 18),
+        group="V",
+        scope="whole",
+        needs=frozenset({"pose"}),
+        chains=Chains(input=soft_tissue),
+        remedy=f"Correct the pelvis before it is replayed: {_BONE}",
+    ),
+    Effect(
+        "soft_tissue",
+        "input",
+        "pelvis markers move over the bone in proportion to its Cardan angles, and follow it as masses on springs do",
+        (
+            *_SKIN,
+            near_zero("lag", "s", 0.01, 0.1),
+            # skin rings at 1 to 4 Hz: what would ring faster is what the low-pass takes from the path
+            EffectParameter("mobility", "s2", 0.0016, 0.025, (0.004,)),
+        ),
+        separating_trial="a marker cluster beside the pelvis markers, quiet standing and a passive pull",
+        at_rest=AtRest((0.0,) * 20, limit="skin without mass"),
+        group="V",
+        scope="whole",
+        needs=frozenset({"pose"}),
+        chains=Chains(input=wobbling_tissue),
+        form="wobble",
+        remedy=(
+            "Correct the pelvis before it is replayed: add to its pose the lag times its rate and the mobility times"
+            f" its acceleration, and then: {_BONE}"
+        ),
+    ),
+)

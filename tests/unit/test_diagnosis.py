@@ -178,7 +178,7 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     z = (lower + upper) / 2
     z[2] = upper[2]
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
-    placed = Placed(lag, lag.places()[0], SCALES)
+    placed = Placed(lag, lag.places(STRAP)[0], SCALES)
     fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
     pair = Pair(None, None, system)
     rows = parameter_verdicts(pair, fit, 1000, CONFIG)

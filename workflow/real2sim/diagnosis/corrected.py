@@ -34,14 +34,14 @@ _NEAR = 0.1
 def noise_terms(
     residuals: Callable[[np.ndarray], np.ndarray], z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What noise adds to slope (12,) and normal matrix (12, 12) of half the sum of squares at ln-parameters (12,).
+    """What noise adds to slope (n,) and normal matrix (n, n) of half the sum of squares at searched parameters (n,).
 
-    ``residuals`` (draws, n_r) are what it does to them at a point (12,).
+    ``residuals`` (draws, n_r) are what it does to them at a point (n,).
     """
     here = residuals(z)
     slopes = []
-    for i in range(12):
-        step = np.zeros(12)
+    for i in range(len(z)):
+        step = np.zeros(len(z))
         step[i] = _STEP_LN
         slopes.append((residuals(z + step) - here) / _STEP_LN)
     tangent = np.array(slopes)
@@ -53,7 +53,7 @@ def noise_terms(
 def corrected(
     pair: Pair, hypothesis: Hypothesis, *, draws: int, iterations: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``z`` (12 + p,) of a converged hypothesis without the bias by noise of the pelvis, and its covariance.
+    """``z`` (n + p,) of a converged hypothesis without the bias by noise of the pelvis, and its covariance.
 
     The strap's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
     simulation does not bear a step, it stops there.
@@ -66,17 +66,18 @@ def corrected(
         return pair.train.whiten(shaken(pair.system.values(point)))
 
     z = hypothesis.z.copy()
-    seen, there = np.full(12, np.inf), (np.empty(0), np.empty((0, 0)))
+    n = len(hypothesis.base)
+    seen, there = np.full(n, np.inf), (np.empty(0), np.empty((0, 0)))
     for iteration in range(iterations + 1):
         r, jacobian = problem.with_jacobian(z, everything)
         slope, normal = jacobian.T @ r, jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += 1e-9
-        if np.abs(z[:12] - seen).max() > _NEAR:
-            seen, there = z[:12], noise_terms(noise, z[:12])
+        if np.abs(z[:n] - seen).max() > _NEAR:
+            seen, there = z[:n], noise_terms(noise, z[:n])
         noise_slope, noise_normal = there
         if not np.isfinite(noise_normal).all():
             return z, np.asarray(np.linalg.inv(normal))
-        slope[:12] -= noise_slope + noise_normal @ (z[:12] - seen)
+        slope[:n] -= noise_slope + noise_normal @ (z[:n] - seen)
         inverse = _inverse(normal, noise_normal)
         # whitened residuals have unit variance: the meat of the sandwich is what they tell with their noise
         covariance = inverse @ normal @ inverse
@@ -94,11 +95,11 @@ def corrected(
 
 
 def _inverse(normal: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Inverse of the normal matrix less what noise tells (12, 12), no direction below a share of what it was."""
+    """Inverse of the normal matrix less what noise tells, no direction below a share of what it was."""
     # in the coordinates in which the normal matrix is the identity
     root = np.linalg.inv(np.linalg.cholesky(normal))
     own = np.zeros_like(normal)
-    own[:12, :12] = noise
+    own[: len(noise), : len(noise)] = noise
     told, directions = np.linalg.eigh(root @ own @ root.T)
     left = np.maximum(1 - told, _LEAST_SHARE)
     back = root.T @ directions

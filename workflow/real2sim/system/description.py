@@ -12,6 +12,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from real2sim.configuration import read_yaml, validated
@@ -67,11 +68,13 @@ class Axis:
 class Drive:
     """What sets a replay in motion: the pose of a segment, the path of joints, or forces on joints.
 
-    ``columns`` maps joints of the model to the columns of a recording that hold their path or force.
+    ``columns`` maps joints of the model to the columns of a recording that hold their path or force. ``held``: a force
+    keeps its value from each sample to the next, as a command does, and is not a signal that was sampled.
     """
 
     by: str
     columns: Mapping[str, str]
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ class System:
 
     ``model`` is the MJCF of the machine, ``body`` the machine's body that the interface hangs on, ``segment`` the body
     that the plant hangs behind it (None where all joints stand in the MJCF). ``rest`` says where the coordinates are
-    zero: "quiet" (mean over a quiet recording) or "model".
+    zero: "quiet" (mean over a quiet recording) or "model". ``band_hz``: what is faster in a recording is noise.
     """
 
     name: str
@@ -143,6 +146,7 @@ class System:
     segment: str | None = None
     rest: str = "model"
     about: str = ""
+    band_hz: float = 10.0
 
     @classmethod
     def from_yaml(cls, path: Path | str) -> System:
@@ -167,7 +171,7 @@ class System:
             (source.parent / c["model"]).resolve(),
             tuple(_machine_joint(name, given) for name, given in c["machine"].items()),
             tuple(_axis(name, given) for name, given in interface["axes"].items()),
-            Drive(c["drive"]["by"], dict(c["drive"]["of"])),
+            Drive(c["drive"]["by"], dict(c["drive"]["of"]), c["drive"]["held"]),
             tuple(_parameter(name, given) for name, given in c["parameters"].items()),
             tuple(Output(name, **given) for name, given in c["outputs"].items()),
             _markers(c["markers"]),
@@ -175,6 +179,7 @@ class System:
             interface["segment"],
             interface["rest"],
             c["about"],
+            float(c["band_hz"]),
         )
         system._check(source)
         return system
@@ -266,6 +271,18 @@ class System:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def joint_units(self) -> dict[str, str]:
+        """Unit of each joint of the machine's MJCF, by name: m for a slide, rad for a hinge."""
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        try:
+            spec = mujoco.MjSpec.from_file(str(self.model))
+        except (ValueError, FileNotFoundError) as error:
+            raise InputError(
+                self.model, "", str(error), "an MJCF that compiles", "Correct the file."
+            ) from error
+        return {joint.name: "m" if joint.type == slide else "rad" for joint in spec.joints}
 
     @cached_property
     def stiffness_of_axis(self) -> dict[int, int]:

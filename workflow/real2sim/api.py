@@ -1,0 +1,268 @@
+"""The public calls: identify a described system from a recording, and diagnose the gap of its simulation.
+
+system = System.from_yaml("exo.yaml")
+slow, fast, still = (Recording.read(system, p) for p in ("slow.csv", "fast.csv", "still.csv"))
+fit = identify(system, slow, quiet=still)
+answer = diagnose(system, train=slow, held_out=fast, quiet=still)
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from real2sim.artefacts import write_json
+from real2sim.configuration import validated
+from real2sim.diagnosis.answer import Diagnosis as Answer
+from real2sim.diagnosis.answer import answer
+from real2sim.diagnosis.attribute import candidates, plain_fit
+from real2sim.diagnosis.described_trial import DescribedTrial
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.intervals import Known, parameter_verdicts
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.trials import Trials, search_both_ways
+from real2sim.effects.base import Effect, Placed
+from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.system_replay import supports
+from real2sim.errors import InputError
+from real2sim.recording.table import Recording
+from real2sim.system.description import System
+
+_SLICES = ("diagnosis", "identifiability")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters of a system that fit one recording.
+
+    ``known`` maps each parameter's name to its value, interval, bias and verdict; ``chi2`` is what the fit leaves and
+    ``samples`` what noise alone would leave.
+    """
+
+    system: System
+    recording: str
+    values: Mapping[str, float]
+    known: Mapping[str, Known]
+    chi2: float
+    samples: int
+    traces: Mapping[str, np.ndarray]
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """Verdict on each parameter: determined, weak, not determined or at bound."""
+        return {name: known.verdict for name, known in self.known.items()}
+
+    def table(self) -> pd.DataFrame:
+        """Return one row per parameter: value, unit, 95 % interval, verdict."""
+        rows = [
+            {
+                "parameter": p.name,
+                "value": self.values[p.name],
+                "unit": p.unit,
+                "low": self.known[p.name].ci95[0],
+                "high": self.known[p.name].ci95[1],
+                "verdict": self.known[p.name].verdict,
+            }
+            for p in self.system.parameters
+        ]
+        return pd.DataFrame(rows)
+
+    def save(self, path: Path | str) -> None:
+        """Write the fit as JSON."""
+        rows = {
+            name: {"value": self.values[name], "ci95": list(k.ci95), "verdict": k.verdict}
+            for name, k in self.known.items()
+        }
+        write_json(
+            Path(path),
+            {
+                "schema": 1,
+                "system": self.system.name,
+                "recording": self.recording,
+                "parameters": rows,
+                "chi2": self.chi2,
+                "chi2_expected": self.samples,
+            },
+        )
+
+    def plot(self, path: Path | str | None = None) -> Any:
+        """Draw measured and simulated observations over time; return the figure, written where ``path`` is given."""
+        from real2sim.pages.traces import plot_traces
+
+        return plot_traces(self.traces, f"{self.system.name}, {self.recording}", path)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the gap of a system's simulation lies, which effect causes it, how far it shrinks.
+
+    The attributes of the answer (``verdict``, ``probabilities``, ``causes``, ``where``, ``gap``, ``parameters``,
+    ``next_trial`` ...) are those of diagnosis.json.
+    """
+
+    system: System
+    answer: Answer
+
+    @property
+    def verdict(self) -> str:
+        """Name of an effect, ``none`` or ``unknown``."""
+        return self.answer.verdict
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of every effect, of ``none`` and of ``unknown``."""
+        return self.answer.probabilities
+
+    @property
+    def where(self) -> dict[str, Any]:
+        """Where the gap lies: stage, axes, channels, time, frequency, regime."""
+        return self.answer.where
+
+    def table(self) -> pd.DataFrame:
+        """Return one row per cause with some probability: effect, axes, probability, share of the gap closed."""
+        return pd.DataFrame(
+            [
+                {
+                    "effect": c.effect,
+                    "axes": " ".join(c.axes),
+                    "probability": c.probability,
+                    "gap_closed": c.gap_closed,
+                    **{k: v["value"] for k, v in c.parameters.items()},
+                }
+                for c in self.answer.causes
+            ]
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write diagnosis.json."""
+        write_json(Path(path), {"schema": 1, "subject": self.system.name} | self.answer.to_dict())
+
+    def plot(self, path: Path | str | None = None) -> Any:
+        """Draw observations measured, plain and with the effect; return the figure, written where ``path`` is given."""
+        from real2sim.pages.traces import plot_traces
+
+        title = f"{self.system.name}: {', '.join(self.answer.verdict_set)}"
+        return plot_traces(self.answer.traces(), title, path)
+
+    def export_model(self, path: Path | str) -> None:
+        """Write the diagnosed model of the fitted recording as an MJCF, parameters and effects in it.
+
+        Raises
+        ------
+        ValueError
+            Where a field of the model has no element of MJCF to be written to.
+        """
+        from real2sim.pages.described_model import write_model
+
+        write_model(Path(path), self.answer)
+
+
+def identify(
+    system: System,
+    recording: Recording,
+    quiet: Recording | None = None,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    threads: int = 1,
+) -> Fit:
+    """Fit the parameters of a system to one recording.
+
+    Parameters
+    ----------
+    quiet
+        A recording of standing still: noise and, where ``interface.rest`` is quiet, the rest pose are measured in it.
+    settings
+        Overrides of the configuration's slices ``diagnosis`` and ``identifiability``.
+
+    Raises
+    ------
+    InputError
+        Where recording and description do not fit together.
+    """
+    options = _settings(settings)
+    search = options["diagnosis"]["search"]
+    evidence: Evidence = DescribedTrial(system, recording, quiet, threads).evidence()
+    lower, upper = system.bounds()
+    z = plain_fit(evidence, system, (lower + upper) / 2, search)
+    evidence = evidence.adapted(system.values(z))
+    draws = options["diagnosis"]["noise_draws"]
+    evidence = evidence.with_noise(system.values(z), draws, search["seed"])
+    pair = Pair(evidence, evidence.as_held_out(), system)
+    fitted = Search(pair, search).fit((), z, final=True)
+    known = parameter_verdicts(pair, fitted, evidence.samples, options)
+    values = system.values(fitted.base)
+    return Fit(
+        system,
+        recording.name,
+        dict(zip(system.parameter_names, map(float, values), strict=True)),
+        dict(zip(system.parameter_names, known, strict=True)),
+        fitted.chi2[0],
+        evidence.samples,
+        _traces(evidence, pair, fitted),
+    )
+
+
+def _traces(evidence: Evidence, pair: Pair, fitted: Hypothesis) -> dict[str, np.ndarray]:
+    from real2sim.diagnosis.answer import simulate
+
+    path = simulate(evidence, pair, fitted)
+    columns = evidence.traces(path, path)
+    return {k: v for k, v in columns.items() if not k.startswith("with_effect")}
+
+
+def diagnose(
+    system: System,
+    *,
+    train: Recording,
+    held_out: Recording,
+    quiet: Recording | None = None,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[str], None] | None = None,
+    threads: int = 1,
+) -> Diagnosis:
+    """Find which unmodelled effect causes the gap between a system's simulation and its recordings.
+
+    Effects are fitted to ``train`` and judged on ``held_out``, a recording of another regime; ``quiet`` and
+    ``settings`` as of `identify`. ``progress`` is called with a line now and then, by default it goes to stderr.
+
+    Raises
+    ------
+    InputError
+        Where recordings and description do not fit together.
+    """
+    if train.name == held_out.name:
+        raise InputError(
+            train.name, "", "the same name for both recordings", "two names", "Rename one of them."
+        )
+    options = _settings(settings)
+    recordings = {r.name: r for r in (train, held_out)}
+    trials = {name: DescribedTrial(system, r, quiet, threads).evidence() for name, r in recordings.items()}
+
+    def load(name: str, settled: bool) -> Evidence:
+        return trials[name].as_settled() if settled else trials[name]
+
+    def places(pair: Pair) -> list[Placed]:
+        return [p for p in candidates(system, pair.train.scales) if supports(p)]
+
+    def say(text: str) -> None:
+        print(f"{system.name}: {text}", file=sys.stderr, flush=True)
+
+    two = Trials(train.name, held_out.name, system, load, options["diagnosis"], progress or say, places)
+    return Diagnosis(system, answer(search_both_ways(two), options))
+
+
+def catalogue(system: System | None = None) -> tuple[Effect, ...]:
+    """Return the effects that a diagnosis knows, those of other packages among them; of a system, those that fit it."""
+    return tuple(effect for effect in EFFECTS if system is None or effect.fits(system))
+
+
+def _settings(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    checked = validated(dict(given or {}), "config", Path("settings"))
+    return {name: checked[name] for name in _SLICES}

@@ -1,0 +1,411 @@
+"""Replays of a described system with effects added: many parameter vectors at once, in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
+from real2sim.effects.chains import Context
+from real2sim.effects.replay import by_axis
+from real2sim.errors import InputError
+from real2sim.system.batches import untimed_batch
+from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
+from real2sim.system.description import MASS, POSE, System
+from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.plant import RestPose, compiled
+from real2sim.system.replay import servo_command
+
+# Time step for which an effect's substeps are meant [s]
+_REFERENCE_STEP_S = 0.01
+_FORCES = ("qfrc_passive", "qfrc_constraint", "actuator_force")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One trial of a described system, as its simulations need it.
+
+    ``commands`` (nstep, c) of the drive at the steps; ``acceleration`` (n, c) of driven joints at the samples, for
+    outputs that are forces; ``start`` and ``start_rate`` are positions and rates of joints by name; ``segment`` is the
+    drive of a segment, and ``anchor`` where it hangs. ``settled``: the machine's springs balance the start.
+    """
+
+    system: System
+    timestep: float
+    stride: int
+    commands: np.ndarray
+    start: Mapping[str, float]
+    start_rate: Mapping[str, float]
+    acceleration: np.ndarray | None = None
+    segment: PelvisDrive | None = None
+    anchor: Anchor | None = None
+    settled: bool = False
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Where in the sensor data the observations and the machine's log are."""
+
+    markers: int
+    outputs: tuple[str, ...]
+    logged: tuple[str, ...] = field(default=())
+
+    @property
+    def observed(self) -> int:
+        """Number of observed channels: three a marker, then the outputs."""
+        return 3 * self.markers + len(self.outputs)
+
+
+def supports(placed: Placed) -> bool:
+    """Whether the simulation of a described system can have an effect.
+
+    It has neither another observation model than its markers nor a controller that answers the interface.
+    """
+    plant, chains = placed.effect.plant, placed.effect.chains
+    return plant.law is None and not plant.acts_in_neutral and chains.observation is None
+
+
+class SystemReplay:
+    """Simulate one trial of a described system with some effects.
+
+    Parameters
+    ----------
+    effects
+        Effects at their places (`supports`).
+    context, scales
+        Of the trial, see `Context` and `Scales`.
+    nsim
+        Simulations per call, at most.
+
+    Attributes
+    ----------
+    model
+        The compiled plant.
+    """
+
+    def __init__(self, setup: Setup, effects: Sequence[Placed], context: Context, scales: Scales, nsim: int):
+        self._setup, self.effects, self._context, self._scales = setup, tuple(effects), context, scales
+        system = setup.system
+        frame = None
+        if setup.segment is not None:
+            frame = RestPose(setup.segment.reference_rotation, setup.segment.reference_origin)
+        spec = plant_of(system, setup.timestep, setup.anchor, frame)
+        self.channels = self._sense(spec)
+        for placed in self.effects:
+            placed.effect.plant.build(spec, placed.where)
+        self._sticks = any(p.effect.plant.sticks for p in self.effects)
+        if self._sticks:
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+        self.spec = spec
+        self.model = model = compiled(spec, system.model)
+        self._batch = untimed_batch(model, nsim, setup.threads)
+        self.nstep = len(setup.commands)
+        self._control = np.zeros((nsim, self.nstep, model.nu))
+        self._drive = slice(0, setup.commands.shape[1])
+        self._commands = np.tile(setup.commands, (nsim, 1, 1))
+        self._joints = [model.joint(name) for name in system.axis_joints]
+        self._start = self._start_state()
+        self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
+        self._chains = [i for i, p in enumerate(self.effects) if p.effect.chains.input is not None]
+
+    def _sense(self, spec: mujoco.MjSpec) -> Channels:
+        """Add sensors of markers, outputs and the machine's log."""
+        system = self._setup.system
+        sites = tuple((system.markers.sites or {}).values()) if system.drive.by == POSE else ()
+        for site in sites:
+            _sensor(spec, f"marker_{site}", mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtObj.mjOBJ_SITE, site)
+        joint = mujoco.mjtObj.mjOBJ_JOINT
+        kinds = {
+            "position": mujoco.mjtSensor.mjSENS_JOINTPOS,
+            "force": mujoco.mjtSensor.mjSENS_JOINTPOS,
+            "velocity": mujoco.mjtSensor.mjSENS_JOINTVEL,
+        }
+        for output in system.outputs:
+            _sensor(spec, f"output_{output.column}", kinds[output.quantity], joint, output.joint)
+        shown: dict[str, str] = {}
+        for placed in self.effects:
+            shown |= placed.effect.plant.logged(placed.where)
+        logged = tuple(j.name for j in system.machine if j.logged)
+        for name in logged:
+            _sensor(spec, f"log_{name}", kinds["position"], joint, shown.get(name, name))
+        return Channels(len(sites), tuple(o.column for o in system.outputs), logged)
+
+    def _start_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions (nq,) and rates (nv,) at the start."""
+        model, setup = self.model, self._setup
+        position, rate = model.qpos0.copy(), np.zeros(model.nv)
+        for name, value in setup.start.items():
+            position[model.joint(name).qposadr[0]] = value
+            rate[model.joint(name).dofadr[0]] = setup.start_rate.get(name, 0.0)
+        return position, rate
+
+    def _starts(self, m: int) -> np.ndarray:
+        """Joint positions (m, nq) at the start of each simulation."""
+        return self._start[0] + self._shift[:m]
+
+    def set_command(self, simulation: int, command: np.ndarray) -> None:
+        """Let one simulation follow another command (nstep, c) from now on."""
+        self._commands[simulation] = command
+
+    def shift_start(self, simulation: int, joint: str, by: float, *, rate: bool = False) -> None:
+        """Let one simulation start with another position or ``rate`` of a joint [SI], the segment as it is."""
+        index = self.model.joint(joint)
+        wanted = np.zeros(self.model.nv)
+        wanted[index.dofadr[0]] = by
+        free = self._free_motions(self._start[0])
+        moved = free.T @ (free @ wanted)
+        lever = moved[index.dofadr[0]] / by
+        moved = moved / lever if lever > 1e-3 else 0 * moved
+        if rate:
+            self._hurry[simulation] = moved
+            return
+        position = self._start[0].copy()
+        mujoco.mj_integratePos(self.model, position, moved, 1.0)
+        self._shift[simulation] = position - self._start[0]
+
+    def command_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Return the command (nstep, 6) for another path (n, 3, 3), (n, 3) [m] of the segment."""
+        segment = self._setup.segment
+        assert segment is not None
+        frame = (segment.reference_rotation, segment.reference_origin)
+        return servo_command(pelvis_drive(self._context.time_s, rotation, position, segment.timestep, frame))
+
+    def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate parameters (m, p) with searched numbers (m, q) of each effect.
+
+        Returns observations (m, n, c), marker by marker [m, world] and then output by output, and the log of the
+        machine (m, n, j) [m, rad]. A simulation that MuJoCo gave up on is NaN.
+        """
+        held_out = self._context.held_out
+        values = [
+            placed.values(part)[:, placed.of_trial(held_out=held_out)]
+            for placed, part in zip(self.effects, x, strict=True)
+        ]
+        impedance = self._impedance(parameters)
+        out = self._simulate(parameters, impedance, values)
+        n = self.channels.observed
+        stride = self._setup.stride
+        paths, logs = out[:, ::stride, :n].copy(), out[:, ::stride, n:].copy()
+        done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2)))
+        for placed, value in zip(self.effects, values, strict=True):
+            if placed.effect.chains.output is not None and len(done):
+                paths[done] = placed.effect.chains.output(paths[done], value[done], self._context)
+            if placed.effect.chains.log is not None and len(done):
+                logs[done] = placed.effect.chains.log(logs[done], value[done], self._context)
+        return paths, logs
+
+    def _impedance(self, parameters: np.ndarray) -> InterfaceImpedance:
+        system, model = self._setup.system, self.model
+        stiffness = np.array([model.jnt_stiffness[j.id] for j in self._joints])
+        damping = np.array([model.dof_damping[j.dofadr[0]] for j in self._joints])
+        return InterfaceImpedance(
+            by_axis(parameters, system.stiffness_of_axis, stiffness),
+            by_axis(parameters, system.damping_of_axis, damping),
+        )
+
+    def _simulate(
+        self, parameters: np.ndarray, impedance: InterfaceImpedance, values: list[np.ndarray]
+    ) -> np.ndarray:
+        m, batch = len(parameters), self._batch
+        ids = np.arange(m)
+        fields = Fields(batch, self.model, m, self._scales, self._setup.system)
+        self._restore(fields)
+        self._control[:m] = 0
+        self._control[:m, :, self._drive] = self._commands[:m]
+        self._write_parameters(fields, parameters, impedance)
+        self._write_effects(fields, impedance, values, m)
+        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = self._starts(m), self._start[1] + self._hurry[:m]
+        self._update_constants(fields, m)
+        if self._setup.settled:
+            self._settle(fields, m)
+        return self._roll(fields, m)
+
+    def _restore(self, fields: Fields) -> None:
+        """Give fields that effects change only in part their compiled values back."""
+        for name in (
+            "qpos_spring",
+            "dof_armature",
+            "body_mass",
+            "body_inertia",
+            "dof_damping",
+            "jnt_stiffness",
+        ):
+            fields[name][:] = getattr(self.model, name)
+        if self.model.ntendon:
+            for name in ("tendon_lengthspring", "tendon_range"):
+                fields[name][:] = getattr(self.model, name)
+        held = [j.name for j in self._setup.system.machine if j.impedance is not None]
+        for name in held:
+            joint = self.model.joint(name)
+            fields["qpos_spring"][:, joint.qposadr[0]] = self._starts(fields.m)[:, joint.qposadr[0]].ravel()
+
+    def _write_parameters(
+        self, fields: Fields, parameters: np.ndarray, impedance: InterfaceImpedance
+    ) -> None:
+        system, model, h = self._setup.system, self.model, self.model.opt.timestep
+        for axis, joint in enumerate(self._joints):
+            dof = joint.dofadr[0]
+            fields["jnt_stiffness"][:, joint.id] = impedance.k[:, axis]
+            fields["dof_damping"][:, dof] = impedance.d[:, axis]
+            # centred steps: implicit damping is an inertia of half of it times the step
+            fields["dof_armature"][:, dof] = model.dof_armature[dof] - impedance.d[:, axis] * h / 2
+        for column, parameter in enumerate(system.parameters):
+            if parameter.sets == MASS:
+                fields["body_mass"][:, model.body(parameter.of).id] = parameters[:, column]
+            elif parameter.sets == "offset":
+                axis = system.axis_names.index(parameter.of)
+                actuator = model.actuator(f"offset_{system.axes[axis].joint}").id
+                self._control[: len(parameters), :, actuator] = parameters[:, column, None]
+
+    def _write_effects(
+        self, fields: Fields, impedance: InterfaceImpedance, values: list[np.ndarray], m: int
+    ) -> None:
+        order = sorted(range(len(self.effects)), key=lambda i: self.effects[i].effect.plant.order)
+        for i in order:
+            placed, value = self.effects[i], values[i]
+            plant, where = placed.effect.plant, placed.where
+            plant.set(fields, where, impedance, value)
+            force = plant.force(value, self._context, where, impedance)
+            if force is not None:
+                self._control[:m, :, plant.columns(self.model, where)] += force
+        for i in self._chains:
+            self._write_input_chain(self.effects[i], values[i], m)
+        for placed, value in zip(self.effects, values, strict=True):
+            placed.effect.plant.before_run(fields, placed.where, impedance, value)
+        if self._sticks:
+            # an implicit damper is an inertia of damping times step, which constraints do not see: as one proper, the
+            # same motion is held
+            fields["dof_armature"][:] += self.model.opt.timestep * fields["dof_damping"]
+
+    def _write_input_chain(self, placed: Placed, values: np.ndarray, m: int) -> None:
+        chain = placed.effect.chains.input
+        assert chain is not None
+        context = self._context
+        plain = self.command_for(context.pelvis_rotation, context.pelvis_position)
+        changed: dict[bytes, np.ndarray] = {}
+        for k in range(m):
+            key = values[k].tobytes()
+            if key not in changed:
+                changed[key] = self.command_for(*chain(values[k], context)) - plain
+            self._control[k, :, self._drive] += changed[key]
+
+    def _update_constants(self, fields: Fields, m: int) -> None:
+        """Let MuJoCo know changed inertia where it takes that of a lone joint as it was compiled."""
+        model = self.model
+        lone = np.flatnonzero(model.dof_simplenum > 0)
+        bodies = model.dof_bodyid[lone]
+        slide = model.jnt_type[model.dof_jntid[lone]] == mujoco.mjtJoint.mjJNT_SLIDE
+        if len(lone):
+            added = fields["dof_armature"][:, lone] - model.dof_armature[lone]
+            mass = fields["body_mass"][:, bodies] - model.body_mass[bodies]
+            turn = (fields["body_inertia"][:, bodies] - model.body_inertia[bodies]).mean(axis=2)
+            fields["dof_M0"][:, lone] = model.dof_M0[lone] + added + np.where(slide, mass, turn)
+        if any(p.effect.plant.weighed for p in self.effects):
+            state = [self._batch.bind(name)[:m].copy() for name in ("qpos", "qvel")]
+            self._batch.set_const(np.arange(m))
+            self._batch.bind("qpos")[:m], self._batch.bind("qvel")[:m] = state
+
+    def _settle(self, fields: Fields, m: int) -> None:
+        """Let springs of the machine rest where they balance what pulls at the start, with the segment held."""
+        model, batch = self.model, self._batch
+        position = self._starts(m)
+        for placed in self.effects:
+            placed.effect.plant.relax(fields, placed.where, position)
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
+        pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
+        force = pull["qfrc_passive"][:, 0]
+        for i, placed in enumerate(self.effects):
+            del i
+            columns = placed.effect.plant.columns(model, placed.where)
+            if len(columns):
+                driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+                force[:, driven] += self._control[:m, 0, columns]
+        held = [model.joint(j.name) for j in self._setup.system.machine if j.impedance is not None]
+        dofs = np.array([j.dofadr[0] for j in held], int)
+        for k in range(m):
+            free = self._free_motions(position[k])
+            stiffness = np.array([fields["jnt_stiffness"][k, j.id] for j in held])
+            lever = free[:, dofs] * stiffness
+            shift = -np.linalg.lstsq(lever, free @ force[k], rcond=None)[0]
+            for j, by in zip(held, shift, strict=True):
+                fields["qpos_spring"][k, j.qposadr[0]] += by
+        batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
+        batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, self._start[1] + self._hurry[:m]
+
+    def _free_motions(self, position: np.ndarray) -> np.ndarray:
+        """Orthonormal joint rates (k, nv) that leave the segment, loops and driven joints where they are."""
+        model = self.model
+        data = mujoco.MjData(model)
+        data.qpos[:] = position
+        mujoco.mj_fwdPosition(model, data)
+        rows = []
+        if self._setup.segment is not None:
+            jac = np.zeros((6, model.nv))
+            mujoco.mj_jacSite(model, data, jac[:3], jac[3:], model.site(DRIVEN_SITE).id)
+            rows.append(jac)
+        for joint in self._setup.system.drive.columns:
+            row = np.zeros((1, model.nv))
+            row[0, model.joint(joint).dofadr[0]] = 1
+            rows.append(row)
+        if not rows:
+            return np.eye(model.nv)
+        _, sizes, directions = np.linalg.svd(np.vstack(rows))
+        return directions[int(np.sum(sizes > 1e-9)) :]
+
+    def _roll(self, fields: Fields, m: int) -> np.ndarray:
+        """Step to the end; observations and log (m, nstep, c + j)."""
+        forced = [o for o in self._setup.system.outputs if o.quantity == "force"]
+        record = ("sensordata", *(_FORCES if forced else ()))
+        done = self._batch.rollout(self.nstep, self._control[:m], record=record, ids=np.arange(m))
+        out = done["sensordata"].copy()
+        for output in forced:
+            column = 3 * self.channels.markers + self.channels.outputs.index(output.column)
+            out[:, :, column] = self._drive_force(fields, done, output.joint, m)
+        warning = self._batch.warning[:m]
+        out[warning.any(axis=tuple(range(1, warning.ndim)))] = np.nan
+        return out
+
+    def _drive_force(self, fields: Fields, done: Mapping[str, np.ndarray], joint: str, m: int) -> np.ndarray:
+        """Force (m, nstep) that moves a driven joint along its path: inertia times acceleration, less other forces."""
+        model, setup = self.model, self._setup
+        index = model.joint(joint)
+        dof, body = int(index.dofadr[0]), int(model.jnt_bodyid[index.id])
+        if setup.acceleration is None:
+            raise InputError(
+                setup.system.model,
+                f"joint {joint}",
+                "an output that is the force on a joint without a prescribed path",
+                "a joint of drive.of, driven by path",
+                "Drive it, or measure its position.",
+            )
+        others = [
+            a
+            for a in range(model.nu)
+            if model.actuator_trnid[a, 0] == index.id and a >= setup.commands.shape[1]
+        ]
+        force = done["qfrc_passive"][:, :, dof] + done["qfrc_constraint"][:, :, dof]
+        force = force + done["actuator_force"][:, :, others].sum(axis=2)
+        column = list(setup.system.drive.columns).index(joint)
+        acceleration = np.repeat(setup.acceleration[:, column], setup.stride)[: self.nstep]
+        mass = fields["body_mass"][:m, body, None]
+        # the rate of a step is that of half a step before
+        late = fields["dof_damping"][:m, dof, None] * model.opt.timestep / 2 * acceleration
+        return np.asarray(mass * acceleration - force + late)
+
+
+def _sensor(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, obj: mujoco.mjtObj, target: str) -> None:
+    spec.add_sensor(name=name, type=kind, objtype=obj, objname=target)
+
+
+def substeps(effects: Sequence[Placed], timestep: float) -> int:
+    """Return into how many parts a time step [s] is divided for these effects."""
+    finest = max([1, *(p.effect.plant.substeps for p in effects)])
+    return max(1, int(np.ceil(timestep * finest / _REFERENCE_STEP_S - 1e-9)))
+
+
+__all__ = ["LETTERS", "Setup", "SystemReplay", "substeps", "supports"]

@@ -76,10 +76,9 @@ def trace_trials(
 
     The controllers' goals are where the machine stands when the interface coordinates are zero.
     """
-    longest = max(duration_s, min(QUIET_S, duration_s))
     excitations = [setup.excitations[name] for name in TRIALS]
     lengths = [min(QUIET_S, duration_s), duration_s, duration_s]
-    path = segment_path(STEP_S, longest, excitations, setup.home, seed, lengths)
+    path = segment_path(STEP_S, duration_s, excitations, setup.home, seed, lengths)
     if effect == "added_mass":
         setup.tree.add_mass(setup.system.body, size, size * ADDED_RADIUS_M**2)
     factor = float(np.exp(size)) if effect == "machine_impedance" else 1.0
@@ -92,7 +91,7 @@ def trace_trials(
         # it came after the quiet recording, in which the interface rests where its coordinates are zero
         law.size = np.array([0.0, size, size])
         x = rest(mechanism, servo, law, x)
-    steps = round(longest / STEP_S) + 1
+    steps = round(duration_s / STEP_S) + 1
     return run(mechanism, servo, law, x, steps, STEP_S, STORED_EVERY, setup.tree.end), path
 
 

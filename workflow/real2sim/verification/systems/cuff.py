@@ -43,7 +43,7 @@ EFFECTS = {
     "filter_lag": Size("cutoff", 8.0, "Hz"),
 }
 # Joints whose stiffness machine_impedance multiplies by exp(size)
-SOFTER_JOINTS = ("mount_x", "mount_y", "mount_z")
+CHANGED_JOINTS = ("mount_x", "mount_y", "mount_z")
 
 EXCITATIONS = {
     "quiet": Excitation((0.0012, 0.0012, 0.0004, 0.001, 0.002, 0.001), sway=True),
@@ -166,7 +166,7 @@ def setup_of(system: System, tree: Tree, seed: int) -> pose_driven.Setup:
         THIGH_HOME,
         THIGH_MARKERS,
         EFFECTS,
-        SOFTER_JOINTS,
+        CHANGED_JOINTS,
     )
 
 

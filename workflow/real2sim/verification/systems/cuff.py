@@ -43,7 +43,7 @@ EFFECTS = {
     "filter_lag": Size("cutoff", 8.0, "Hz"),
 }
 # Joints whose stiffness machine_impedance multiplies by exp(size)
-SOFTER_JOINTS = ("mount_x", "mount_y", "mount_z")
+CHANGED_JOINTS = ("mount_x", "mount_y", "mount_z")
 
 EXCITATIONS = {
     "quiet": Excitation((0.0012, 0.0012, 0.0004, 0.001, 0.002, 0.001), sway=True),
@@ -61,13 +61,11 @@ class CuffMechanism:
 
     def __init__(self, tree: Tree, path: SegmentPath):
         self.tree, self._path = tree, path
-        sites = tree.description.sites
         body = tree.description.bodies[tree.end]
         upright = tree.bodies_at(np.zeros((1, 7)))[1][0, tree.end]
         self._rest = upright - THIGH_HOME
         self._to_hip = -body.origin
         self._mount_home = tree.description.joints[0].offset
-        assert np.allclose(sum(place for _, place in (sites[s] for s in ("cuff_a", "cuff_b", "cuff_c"))), 0)
 
     def start(self) -> np.ndarray:
         """Return minimal coordinates (b, 4) at rest."""
@@ -168,7 +166,7 @@ def setup_of(system: System, tree: Tree, seed: int) -> pose_driven.Setup:
         THIGH_HOME,
         THIGH_MARKERS,
         EFFECTS,
-        SOFTER_JOINTS,
+        CHANGED_JOINTS,
     )
 
 

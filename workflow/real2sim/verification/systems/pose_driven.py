@@ -35,7 +35,8 @@ _SPREAD = 0.4  # SD of the logarithm of a person's interface parameters, cut at 
 class Setup:
     """A pose-driven system: description, tree, mechanism, true interface (stiffness, damping), paths and markers.
 
-    ``softer_joints`` are those whose stiffness the effect machine_impedance multiplies by exp(size).
+    The effect machine_impedance acts on ``changed_joints`` by a factor of exp(size): on the stiffness of a controlled
+    joint, on the damping of a passive one.
     """
 
     system: System
@@ -46,7 +47,7 @@ class Setup:
     home: np.ndarray
     markers: Mapping[str, np.ndarray]
     effects: Mapping[str, Size]
-    softer_joints: tuple[str, ...]
+    changed_joints: tuple[str, ...]
 
 
 def draw_interface(stiffness: np.ndarray, damping: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -57,15 +58,20 @@ def draw_interface(stiffness: np.ndarray, damping: np.ndarray, seed: int) -> tup
 
 
 def servo_of(system: System, tree: Tree, factors: Mapping[str, float]) -> Servo:
-    """Return the controllers of the machine; ``factors`` multiply the stiffness of joints. The goal is zero."""
+    """Return the controllers of the machine, with all goals zero.
+
+    ``factors`` multiply the stiffness of controlled joints and the damping of passive ones, by name.
+    """
     given: dict[str, MachineJoint] = {joint.name: joint for joint in system.machine}
     joints = tree.description.joints
     stiffness, damping = np.zeros(len(joints)), tree.damping.copy()
     for i, joint in enumerate(joints):
         impedance = given[joint.name].impedance
-        if impedance is not None:
-            stiffness[i] = impedance.stiffness * factors.get(joint.name, 1.0)
-            damping[i] = impedance.damping
+        factor = factors.get(joint.name, 1.0)
+        if impedance is None:
+            damping[i] *= factor
+        else:
+            stiffness[i], damping[i] = impedance.stiffness * factor, impedance.damping
     return Servo(stiffness, damping, tree.friction, np.zeros(len(joints)))
 
 
@@ -76,14 +82,13 @@ def trace_trials(
 
     The controllers' goals are where the machine stands when the interface coordinates are zero.
     """
-    longest = max(duration_s, min(QUIET_S, duration_s))
     excitations = [setup.excitations[name] for name in TRIALS]
     lengths = [min(QUIET_S, duration_s), duration_s, duration_s]
-    path = segment_path(STEP_S, longest, excitations, setup.home, seed, lengths)
+    path = segment_path(STEP_S, duration_s, excitations, setup.home, seed, lengths)
     if effect == "added_mass":
         setup.tree.add_mass(setup.system.body, size, size * ADDED_RADIUS_M**2)
     factor = float(np.exp(size)) if effect == "machine_impedance" else 1.0
-    servo = servo_of(setup.system, setup.tree, dict.fromkeys(setup.softer_joints, factor))
+    servo = servo_of(setup.system, setup.tree, dict.fromkeys(setup.changed_joints, factor))
     mechanism = setup.mechanism(setup.tree, path)
     x = mechanism.start()
     servo.goal = mechanism.joints_at(0, x)
@@ -92,7 +97,7 @@ def trace_trials(
         # it came after the quiet recording, in which the interface rests where its coordinates are zero
         law.size = np.array([0.0, size, size])
         x = rest(mechanism, servo, law, x)
-    steps = round(longest / STEP_S) + 1
+    steps = round(duration_s / STEP_S) + 1
     return run(mechanism, servo, law, x, steps, STEP_S, STORED_EVERY, setup.tree.end), path
 
 
@@ -126,7 +131,7 @@ def simulate(
     if effect == "added_mass":
         truth["parameters"]["inertia"] = size * ADDED_RADIUS_M**2
     if effect == "machine_impedance":
-        truth["joints"] = list(setup.softer_joints)
+        truth["joints"] = list(setup.changed_joints)
     return write_case(out, tables, truth)
 
 

@@ -525,7 +525,7 @@ def _gamma_arithmetic(e: Evidence) -> Finding:
 
 
 def _clouds(e: Evidence, *, factors: bool = False) -> dict[str, dict[str, Row]]:
-    """Return rows of the interface table at the main cap by seed and condition; ``factors``: of changed robots."""
+    """Return rows of the interface table at the main cap by seed and condition; of a changed robot with ``factors``."""
     out: dict[str, dict[str, Row]] = {}
     for row in e.walks.interface:
         plain = not row["robot_factor"]

@@ -77,7 +77,7 @@ COMMANDS = {
 
 
 def module_of(command: str) -> str:
-    """Library module that a command runs."""
+    """Return the library module that a command runs."""
     return COMMANDS[command].split(":")[0]
 
 

@@ -35,7 +35,7 @@ def read_json(path: Path, required: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """The number, or None (JSON null) where it is NaN or infinite."""
+    """Return the number, or None (JSON null) where it is NaN or infinite."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -78,10 +78,10 @@ def read_table(path: Path, required: Iterable[str] = ()) -> list[dict[str, str]]
 
 
 def number(text: str) -> float:
-    """The number in a CSV cell, NaN if the cell is empty."""
+    """Return the number in a CSV cell, NaN if the cell is empty."""
     return float(text) if text else math.nan
 
 
 def needs_people(minimum: int, have: int) -> str:
-    """Status text of a result that cannot be had from so few people."""
+    """Return the status text of a result that cannot be had from so few people."""
     return f"needs at least {minimum} people, have {have}"

@@ -44,7 +44,7 @@ class FailedJobs(logging.Handler):
 
 
 def failures(logs: Path, since: float, jobs: Iterable[FailedJob] = ()) -> list[str]:
-    """What went wrong since a time [s since the epoch], one text each with the path of its log.
+    """Return what went wrong since a time [s since the epoch], one text each with the path of its log.
 
     First what stages say in their logs below ``logs``; then jobs whose logs hold no such word: killed from outside, out
     of memory or time, or ended with their node.

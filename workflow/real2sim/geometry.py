@@ -19,7 +19,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 def pelvis_frame(
     asis_l: np.ndarray, asis_r: np.ndarray, psis_l: np.ndarray, psis_r: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pelvis frame P of four markers: origin mid-ASIS, y to the left, x forward in the ASIS-PSIS plane.
+    """Return the pelvis frame P of four markers: origin mid-ASIS, y to the left, x forward in the ASIS-PSIS plane.
 
     Parameters are (..., 3) [m]; returns rotation (..., 3, 3) and origin (..., 3) [m]. NaN in, NaN out.
     """
@@ -33,7 +33,7 @@ def pelvis_frame(
 def interface_frame(
     if_l: np.ndarray, if_r: np.ndarray, z_ref: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interface frame I of its two joint centres: origin the midpoint, y to the left.
+    """Return the interface frame I of its two joint centres: origin the midpoint, y to the left.
 
     ``z_ref`` (3,) or (..., 3) is the arm's up axis from the robot log, world z without one: rotation about y is
     not observable from two points on the y axis. Returns rotation (..., 3, 3) and origin (..., 3) [m].
@@ -45,7 +45,7 @@ def interface_frame(
 
 
 def rotation_xyz(angles: np.ndarray) -> np.ndarray:
-    """R_x(a) R_y(b) R_z(c) (intrinsic x-y-z) of angles (..., 3) [rad], as (..., 3, 3)."""
+    """Return R_x(a) R_y(b) R_z(c) (intrinsic x-y-z) of angles (..., 3) [rad], as (..., 3, 3)."""
     a, b, c = np.moveaxis(np.asarray(angles, float), -1, 0)
     ca, sa, cb, sb, cc, sc = np.cos(a), np.sin(a), np.cos(b), np.sin(b), np.cos(c), np.sin(c)
     rows = [
@@ -57,7 +57,7 @@ def rotation_xyz(angles: np.ndarray) -> np.ndarray:
 
 
 def angles_xyz(rotation: np.ndarray) -> np.ndarray:
-    """Intrinsic x-y-z angles (..., 3) [rad] of rotations (..., 3, 3); inverse of `rotation_xyz`."""
+    """Return intrinsic x-y-z angles (..., 3) [rad] of rotations (..., 3, 3); inverse of `rotation_xyz`."""
     return np.stack(
         [
             np.arctan2(-rotation[..., 1, 2], rotation[..., 2, 2]),
@@ -71,13 +71,13 @@ def angles_xyz(rotation: np.ndarray) -> np.ndarray:
 def relative_pose(
     r_p: np.ndarray, p_p: np.ndarray, r_i: np.ndarray, p_i: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of I in P: rotation R_P^T R_I (..., 3, 3) and position R_P^T (p_I - p_P) (..., 3)."""
+    """Return the pose of I in P: rotation R_P^T R_I (..., 3, 3) and position R_P^T (p_I - p_P) (..., 3)."""
     r_pt = np.swapaxes(r_p, -1, -2)
     return r_pt @ r_i, np.einsum("...ij,...j->...i", r_pt, p_i - p_p)
 
 
 def mean_rotation(rotations: np.ndarray) -> np.ndarray:
-    """Chordal mean of rotations (n, 3, 3), rows with NaN left out."""
+    """Return the chordal mean of rotations (n, 3, 3), rows with NaN left out."""
     good = np.isfinite(rotations).all(axis=(1, 2))
     u, _, vt = np.linalg.svd(rotations[good].mean(axis=0))
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
@@ -99,7 +99,7 @@ def interface_coordinates(
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternions (n, 4) w, x, y, z of rotations (n, 3, 3), continuous in sign; NaN where NaN."""
+    """Return unit quaternions (n, 4) w, x, y, z of rotations (n, 3, 3), continuous in sign; NaN where NaN."""
     from scipy.spatial.transform import Rotation
 
     good = np.isfinite(rotation).all(axis=(1, 2))
@@ -113,7 +113,7 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def rotation_matrix(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z; NaN where NaN."""
+    """Return rotations (n, 3, 3) of unit quaternions (n, 4) w, x, y, z; NaN where NaN."""
     from scipy.spatial.transform import Rotation
 
     good = np.isfinite(quaternions).all(axis=1)

@@ -23,7 +23,7 @@ class Provenance(TypedDict):
 
 
 def sha256(path: Path) -> str:
-    """Hex SHA-256 of a file."""
+    """Return the hex SHA-256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -59,7 +59,7 @@ def _tree(module: str) -> tuple[str, frozenset[str]]:
 
 @cache
 def fingerprint(module: str) -> str:
-    """Fingerprint of a library module and of all library modules that it imports, however far.
+    """Return the fingerprint of a library module and of all library modules that it imports, however far.
 
     A comment, a docstring or a reformatting leaves it; a changed constant or statement changes it. It is a param
     of the rules, because Snakemake does not see an edit of an imported module.
@@ -76,7 +76,7 @@ def fingerprint(module: str) -> str:
 
 
 def provenance(inputs: list[Path], packages: list[str], code: str) -> Provenance:
-    """Record of what a result rests on. No time and no host: the same work gives the same file.
+    """Return the record of what a result rests on. No time and no host: the same work gives the same file.
 
     Parameters
     ----------

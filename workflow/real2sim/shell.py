@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 def braced(paths: Iterable[str]) -> str:
-    """Paths as brace expressions of bash, which expand to them in their order where they are a product.
+    """Return paths as brace expressions of bash, which expand to them in their order where they are a product.
 
     A command of a shell may be 128 KB long: the fits of a thousand people by name are four times that. Raises
     ValueError where a name holds anything but letters, digits and ``._-``.

@@ -14,13 +14,13 @@ _SUPPORT = 4
 
 
 def segments(good: np.ndarray) -> list[slice]:
-    """Contiguous runs where ``good`` (n,) is true."""
+    """Return the contiguous runs where ``good`` (n,) is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def known(values: np.ndarray) -> np.ndarray:
-    """Samples (n,) at which every column is finite."""
+    """Return the samples (n,) at which every column is finite."""
     finite = np.isfinite(values)
     return finite if values.ndim == 1 else np.asarray(finite.all(axis=1))
 
@@ -51,7 +51,7 @@ def fill_gaps(values: np.ndarray, rate_hz: float, max_gap_s: float) -> tuple[np.
 
 
 def bridged(values: np.ndarray) -> np.ndarray:
-    """A series (n, k) with unknown samples bridged by straight lines."""
+    """Return a series (n, k) with unknown samples bridged by straight lines."""
     out, sample = values.copy(), np.arange(len(values))
     for c in range(values.shape[1]):
         known = np.isfinite(values[:, c])
@@ -60,7 +60,7 @@ def bridged(values: np.ndarray) -> np.ndarray:
 
 
 def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> np.ndarray:
-    """Zero-phase Butterworth low-pass, each contiguous stretch by itself.
+    """Filter by a zero-phase Butterworth low-pass, each contiguous stretch by itself.
 
     ``order`` counts both passes (4: second order forward and backward). The design cutoff is raised so that
     the double pass is at -3 dB at ``cutoff_hz`` (Winter, Biomechanics and Motor Control of Human Movement,
@@ -83,7 +83,7 @@ def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) ->
 
 
 def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Time derivative: five-point central differences, three-point at the ends of each contiguous stretch.
+    """Return the time derivative: five-point central differences, three-point at the ends of each stretch.
 
     Exact for quadratics everywhere and for quartics inside; stretches of fewer than three samples give NaN.
     """
@@ -102,7 +102,7 @@ def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
 def resample(
     time_s: np.ndarray, values: np.ndarray, new_time_s: np.ndarray, max_gap_s: float = np.inf
 ) -> np.ndarray:
-    """Values at new times by cubic splines through each contiguous stretch; NaN outside of them.
+    """Return values at new times by cubic splines through each contiguous stretch; NaN outside of them.
 
     Where two samples lie more than ``max_gap_s`` apart, a stretch ends.
     """
@@ -123,6 +123,6 @@ def resample(
 
 
 def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
-    """Times k / rate within [start, end]."""
+    """Return the times k / rate within [start, end]."""
     first, last = int(np.ceil(start_s * rate_hz - 1e-6)), int(np.floor(end_s * rate_hz + 1e-6))
     return np.arange(first, last + 1) / rate_hz

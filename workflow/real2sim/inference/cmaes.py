@@ -63,28 +63,28 @@ class Run:
 
     @property
     def done(self) -> bool:
-        """Whether the search has ended."""
+        """Return whether the search has ended."""
         return bool(self._strategy.stop())
 
     @property
     def evaluations(self) -> int:
-        """Evaluations so far."""
+        """Return the evaluations so far."""
         return int(self._strategy.countevals)
 
     @property
     def best(self) -> float:
-        """Lowest cost so far."""
+        """Return the lowest cost so far."""
         return self._best
 
     def ask(self) -> np.ndarray:
-        """Parameters (population, 12) of the next generation."""
+        """Return the parameters (population, 12) of the next generation."""
         # pycma 4.5 forgets the option when it goes from the diagonal to the full covariance
         self._strategy.sm.randn = self._randn
         self._points = self._strategy.ask()
         return np.asarray(np.exp(np.array(self._points)))
 
     def tell(self, values: np.ndarray) -> None:
-        """Costs (population,) of what `ask` gave."""
+        """Take the costs (population,) of what `ask` returned."""
         self._strategy.tell(self._points, values.tolist())
         i = int(np.argmin(values))
         if values[i] < self._best:
@@ -95,7 +95,7 @@ class Run:
         self._history["sigma"].append(float(self._strategy.sigma))
 
     def result(self) -> SearchResult:
-        """What the search found."""
+        """Return what the search found."""
         stop = {key: _plain(value) for key, value in self._strategy.stop().items()}
         return SearchResult(
             np.exp(self._best_z), self._best, self.evaluations, np.exp(self._start), self._history, stop

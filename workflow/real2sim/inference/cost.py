@@ -67,7 +67,7 @@ class TrialCost:
         self.samples = int(valid.sum())
 
     def residuals(self, simulated: np.ndarray) -> np.ndarray:
-        """Weighted residuals (m, n_r) of simulated paths (m, n, 2, 3), whose sum of squares is J.
+        """Return weighted residuals (m, n_r) of simulated paths (m, n, 2, 3), whose sum of squares is J.
 
         Position residuals first, then velocity residuals, each by sample, side and axis. A failed simulation is NaN.
         """
@@ -79,16 +79,16 @@ class TrialCost:
         return np.concatenate([error.reshape(m, -1), rate.reshape(m, -1)], axis=1)
 
     def energy(self, difference: np.ndarray) -> np.ndarray:
-        """What differences of paths (m, n, 2, 3) [m] would cost by themselves, (m,)."""
+        """Return J (m,) of differences of paths (m, n, 2, 3) [m] alone, such as noise."""
         return self(difference + self.measured).total
 
     def sample_of_residual(self) -> np.ndarray:
-        """Sample index (n_r,) of each residual: what is near in time is not independent."""
+        """Return the sample index (n_r,) of each residual: residuals near in time are not independent."""
         n = len(self.measured)
         return np.concatenate([np.repeat(np.arange(n), 6), np.repeat(np.arange(1, n - 1), 6)])
 
     def __call__(self, simulated: np.ndarray) -> CostTerms:
-        """Cost of simulated paths (m, n, 2, 3) [m, world]."""
+        """Return the cost of simulated paths (m, n, 2, 3) [m, world]."""
         error = simulated - self.measured
         rate = (error[:, 2:] - error[:, :-2]) * self._half_rate
         position = np.einsum("mscx,mscx,sc->m", error, error, self._weight)

@@ -132,12 +132,12 @@ class Information:
     inflation: np.ndarray
 
     def sd(self) -> np.ndarray:
-        """Standard deviations (12,) in ln-units, NaN where a parameter is left out."""
+        """Return the standard deviations (12,) in ln-units, NaN where a parameter is left out."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (n_r,) and Jacobian (n_r, 12) at ln-parameters z (12,) by central differences, one-sided at a bound."""
+    """Return residuals (n_r,) and Jacobian (n_r, 12) at z (12,) by central differences, one-sided at a bound."""
     up, down = np.minimum(z + step, residuals.upper), np.maximum(z - step, residuals.lower)
     points = np.tile(z, (25, 1))
     points[np.arange(12), np.arange(12)] = up
@@ -166,7 +166,7 @@ def per_sample(values: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """Information (12, 12) without what the noise of the input contributes, positive definite."""
+    """Return the information (12, 12) without what the noise of the input contributes, positive definite."""
     # a parameter that moves nothing has a share of nothing
     whole = information + 1e-13 * np.trace(information) * np.eye(len(information))
     lower = np.linalg.cholesky(whole)
@@ -185,7 +185,7 @@ def information(
     lags: int,
     noise: NoiseTerms | None = None,
 ) -> Information:
-    """Information and covariance at a point, from its residuals (n_r,) and their Jacobian (n_r, 12).
+    """Return information and covariance at a point, from its residuals (n_r,) and their Jacobian (n_r, 12).
 
     ``sample`` (n_r,) is the sample index of each residual; ``free`` lists the parameters that are not at a bound;
     ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input there.
@@ -226,7 +226,7 @@ def corrected_fit(
     iterations: int,
     free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, NoiseTerms]:
-    """Minimum of the cost less what the noise of the input adds to it, by Newton steps from a fit z (12,).
+    """Return the minimum of the cost less what noise of the input adds to it, by Newton steps from a fit z (12,).
 
     Only the parameters listed in ``free`` move, all where it is None. Returns ln-parameters (12,) and the noise's terms
     at the last point that was looked at.
@@ -245,7 +245,7 @@ def corrected_fit(
 
 
 def _newton_step(info: Information, z: np.ndarray, residuals: Residuals, moving: np.ndarray) -> np.ndarray:
-    """Step (12,) of those ``moving`` down the corrected cost; those that it would push through their bound stay."""
+    """Return the Newton step (12,) of the parameters ``moving``; those that it would push through their bound stay."""
     free = np.isin(np.arange(12), moving)
     move = np.zeros(12)
     for _ in range(3):
@@ -270,7 +270,7 @@ def profile_end(
     iterations: int,
     free: np.ndarray | None = None,
 ) -> float | None:
-    """Where J, refitted over the others of the parameters in ``free``, has risen by ``threshold`` on one side of a fit.
+    """Return where J, refitted over the other parameters in ``free``, has risen by ``threshold`` on one side of a fit.
 
     The first refit is where a parabola with this ``sd`` (ln-units) ends; from there outwards in growing steps until J
     has risen. Returns the ln-value, or None if J has not risen at the bound.
@@ -333,7 +333,7 @@ def _profile(
     iterations: int,
     free: np.ndarray,
 ) -> list[float | None]:
-    """Both ends (ln-units) of one parameter's 95 % interval by the profile of J."""
+    """Return both ends (ln-units) of one parameter's 95 % interval by the profile of J."""
     sd, threshold = float(known.sd()[index]), NORMAL_95**2 * float(known.inflation[index])
     return [
         profile_end(
@@ -418,7 +418,7 @@ class _Located:
 
     @property
     def bias(self) -> np.ndarray:
-        """How far (12,) noise of the input moves the fit, ln-units."""
+        """Return how far (12,) [ln-units] noise of the input moves the fit."""
         return np.asarray(self.z - self.point)
 
 

@@ -44,18 +44,18 @@ class Residuals:
         self.evaluations = 0
 
     def many(self, z: np.ndarray) -> np.ndarray:
-        """Residuals (m, n_r) of ln-parameters (m, 12)."""
+        """Return residuals (m, n_r) of ln-parameters (m, 12)."""
         self.evaluations += len(z)
         parts = [self._residuals(np.exp(z[i : i + self._batch])) for i in range(0, len(z), self._batch)]
         return np.concatenate(parts)
 
     def costs(self, z: np.ndarray) -> np.ndarray:
-        """Costs (m,) of ln-parameters (m, 12); infinite where a simulation failed."""
+        """Return the costs (m,) of ln-parameters (m, 12); infinite where a simulation failed."""
         cost = np.array([np.sum(r * r) for r in self.many(z)])
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (n_r,) and forward-difference Jacobian (n_r, k) by the k free ln-parameters at z (12,).
+        """Return residuals (n_r,) and forward-difference Jacobian (n_r, k) by the k free ln-parameters at z (12,).
 
         Where the neighbour of a simulation fails, the other neighbour is asked; where both fail, the column is zero and
         the search leaves that parameter alone.
@@ -65,7 +65,7 @@ class Residuals:
         return out[0], self._slopes(z, free, out[0], out[1:], step)
 
     def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """As `with_jacobian`, where the residuals ``r`` (n_r,) at z are known."""
+        """Return the Jacobian of `with_jacobian` where the residuals ``r`` (n_r,) at z are known."""
         if len(free) == 0:
             return np.empty((len(r), 0))
         points, step = self._neighbours(z, free)

@@ -16,12 +16,12 @@ _UNITS = {"kt": "N/m", "kr": "Nm/rad", "dt": "Ns/m", "dr": "Nms/rad"}
 
 
 def unit(name: str) -> str:
-    """Unit of a parameter by its name."""
+    """Return the unit of a parameter by its name."""
     return _UNITS[name[0] + name[2]]
 
 
 def parameter_column(name: str) -> str:
-    """Column name of a parameter in a wide table, with its unit: ``k_tx_N_per_m``."""
+    """Return the column name of a parameter in a wide table, with its unit: ``k_tx_N_per_m``."""
     return f"{name}_{unit(name).replace('/', '_per_')}"
 
 
@@ -43,7 +43,7 @@ class Bounds:
         return np.asarray(rng.uniform(np.log(self.lower), np.log(self.upper)))
 
     def at_bound(self, values: np.ndarray, tolerance: float) -> list[str]:
-        """Names of the parameters (12,) whose logarithm lies within ``tolerance`` of a bound's."""
+        """Return the names of the parameters (12,) whose logarithm lies within ``tolerance`` of a bound's."""
         z = np.log(values)
         near = (z - np.log(self.lower) < tolerance) | (np.log(self.upper) - z < tolerance)
         return [name for name, hit in zip(PARAMETERS, near, strict=True) if hit]

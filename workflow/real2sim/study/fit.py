@@ -29,7 +29,7 @@ LARGEST_BATCH = 66
 
 
 def restart_seed(seed: int, subject: str, trial: str, restart: int) -> int:
-    """Seed of one restart: a function of names and the configured seed alone."""
+    """Return the seed of one restart: a function of names and the configured seed alone."""
     digest = hashlib.sha256(f"{seed}/{subject}/{trial}/{restart}".encode()).digest()
     return int.from_bytes(digest[:4], "little")
 
@@ -61,7 +61,7 @@ def _search(
     seeds: list[int],
     progress: Callable[[int, float], None],
 ) -> list[SearchResult]:
-    """The searches that the configuration asks for, one per seed."""
+    """Run the searches that the configuration asks for, one per seed."""
     if ident["method"] == "cma":
         return cmaes.search(
             model.costs,
@@ -163,7 +163,7 @@ def fit_trial(
 def _outcome(
     model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict[str, Any], pose: Path
 ) -> dict[str, Any]:
-    """What a search found, with its replay checked."""
+    """Return what a search found, with its replay checked."""
     paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])
     check = replay_check(model.replay, pelvis[0])
     bar = settings["plant"]["replay_bar"]
@@ -195,10 +195,10 @@ def _outcome(
 
 
 def best_of(fits: list[dict[str, Any]]) -> dict[str, Any]:
-    """The fit with the lowest cost; ties go to the first restart."""
+    """Return the fit with the lowest cost; ties go to the first restart."""
     return min(fits, key=lambda fit: (fit["cost"]["J"], fit["restart"]))
 
 
 def parameter_array(fits: list[dict[str, Any]]) -> np.ndarray:
-    """Parameters of fit records as (m, 12), in the order of `PARAMETERS`."""
+    """Return the parameters of fit records as (m, 12), in the order of `PARAMETERS`."""
     return np.array([as_vector(fit["parameters"]) for fit in fits])

@@ -22,7 +22,7 @@ RY_NOTE = (
 def _where(
     trials: dict[str, dict[str, np.ndarray]], axis: str, largest: bool
 ) -> tuple[float, dict[str, Any]]:
-    """Extreme value of one axis over the trials, and the trial and time at which it was recorded."""
+    """Return the extreme value of one axis over the trials, and the trial and time at which it was recorded."""
     best: tuple[float, dict[str, Any]] | None = None
     for trial, q in trials.items():
         values = q[f"q_{axis}"]
@@ -38,7 +38,7 @@ def _where(
 
 
 def joint_limits(*, subject: str, rotation: Path, translation: Path, neutral: Path, out: Path) -> None:
-    """Smallest and largest interface coordinate recorded over the rotation and translation trials at T*.
+    """Write the smallest and largest interface coordinate over the rotation and translation trials at T*.
 
     q_min, q_max [m, rad] in the order of AXES, with the trial and time of each. ``neutral`` defines q = 0;
     its own range is kept beside for scale. Raises InputError where the limits do not hold q = 0: rest would

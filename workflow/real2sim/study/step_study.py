@@ -16,7 +16,7 @@ from real2sim.system.replay import replay_check
 
 
 def parameter_draws(published: Path, bounds: Bounds, count: int, seed: int) -> np.ndarray:
-    """The published prior and log-uniform draws from its published intervals, within the bounds, (count, 12)."""
+    """Return the published prior and log-uniform draws from its intervals, within the bounds, (count, 12)."""
     rows = {row["parameter"]: row for row in read_table(published, ("parameter", "prior", "interval_low"))}
     prior = np.array([number(rows[name]["prior"]) for name in PARAMETERS])
     low = np.maximum([number(rows[name]["interval_low"]) for name in PARAMETERS], bounds.lower)

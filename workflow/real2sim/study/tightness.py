@@ -69,7 +69,7 @@ METHOD = (
 def normalised_tightness(
     level_cm: np.ndarray, *, selected: float, tightest: float, loosest: float
 ) -> np.ndarray:
-    """Normalised tightness (paper eq. 2): 0 at the selected level, positive where the strap is tighter.
+    """Return the normalised tightness (paper eq. 2): 0 at the selected level, positive where the strap is tighter.
 
     Holds for either sense of the scale: with remaining strap length, ``tightest`` is the smaller number.
     """
@@ -77,7 +77,7 @@ def normalised_tightness(
 
 
 def read_pose(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Columns ``time_s`` and ``q_*`` of a pose table, and what its metadata says of the trial.
+    """Read columns ``time_s`` and ``q_*`` of a pose table, and what its metadata says of the trial.
 
     Raises InputError where interface coordinates are missing or wholly masked.
     """
@@ -142,7 +142,7 @@ def _levels(subject_yaml: Path) -> dict[str, float]:
 
 
 def tightness_sweep(*, subject: str, poses: list[Path], subject_yaml: Path, out: Path) -> None:
-    """Allowable motion of the pelvis in the strap at every level, one row per level, loosest first.
+    """Write the allowable motion of the pelvis in the strap, one row per strap level, loosest first.
 
     ``poses`` are the pose tables of the rotation and translation trials, in a folder named by the trial.
     Motion is the largest excursion about rest on each side [deg, mm] and their sum; rotation about z comes
@@ -171,7 +171,7 @@ def tightness_sweep(*, subject: str, poses: list[Path], subject_yaml: Path, out:
 
 
 def side_means(rows: Sequence[Mapping[str, str]], quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Normalised tightness (n,) and the mean of both sides (n,) [deg or mm] at the levels that have them."""
+    """Return normalised tightness (n,) and the mean of both sides (n,) [deg or mm] at the levels that have them."""
     x = np.array([number(r["normalised_tightness"]) for r in rows])
     y = np.array([[number(r[c]) for c in SIDES[quantity]] for r in rows]).reshape(-1, 2).mean(axis=1)
     measured = np.isfinite(y)
@@ -233,7 +233,7 @@ def _operating_point(
 
 
 def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict[str, Any], out: Path) -> None:
-    """Breakpoint regressions of one person and whether the knee of the rotation meets the selected level.
+    """Write the breakpoint regressions of one person and whether the knee of the rotation meets the selected level.
 
     Slopes are deg or mm of one side per unit of normalised tightness. ``settings`` is the config slice
     ``tightness``; the interval's confidence is 1 - alpha. Knee and selected level agree when they are at most
@@ -258,7 +258,7 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict[str
 def _pooled(
     tables: dict[str, list[dict[str, str]]], quantity: str, settings: dict[str, Any]
 ) -> dict[str, Any]:
-    """Regression over all persons: shared slopes and breakpoint, an intercept for each person."""
+    """Return the regression over all persons: shared slopes and breakpoint, an intercept for each person."""
     parts = {s: side_means(rows, quantity) for s, rows in tables.items()}
     x = np.concatenate([p[0] for p in parts.values()])
     y = np.concatenate([p[1] for p in parts.values()])
@@ -277,7 +277,7 @@ def _pooled(
 
 
 def _shared(persons: list[dict[str, Any]], quantity: str) -> dict[str, Any]:
-    """In how many persons the breakpoint exists, where, and with which change of slope."""
+    """Return in how many persons the breakpoint exists, where, and with which change of slope."""
     fits = [(p["subject"], p["regressions"][quantity]) for p in persons]
     found = [(s, r) for s, r in fits if r.get("exists")]
     places = [r["breakpoint"] for _, r in found]
@@ -295,7 +295,7 @@ def _shared(persons: list[dict[str, Any]], quantity: str) -> dict[str, Any]:
 def tightness_cohort(
     *, sweeps: list[Path], breakpoints: list[Path], settings: dict[str, Any], out: Path
 ) -> None:
-    """All persons together: pooled regressions, shared breakpoints, selected levels against the knee.
+    """Write what all persons show together: pooled regressions, shared breakpoints, selected levels against the knee.
 
     The pooled interval resamples whole persons; with one person it resamples residuals and ``status`` says
     so.

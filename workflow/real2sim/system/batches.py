@@ -12,7 +12,7 @@ _UNBEARABLE = ("simulation is unstable", "Inertia matrix is too close to singula
 
 
 def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bool = False) -> Batch:
-    """`mujoco.batch.Batch` of a model, stepped without MuJoCo's profiler.
+    """Return a `mujoco.batch.Batch` of a model, stepped without MuJoCo's profiler.
 
     The Python bindings install a clock for the profiler, which each step reads time and again: a quarter of a step
     of the plant, a third and more of one of the robot alone (`benchmarks/engine.py`). Nothing here reads the profile.

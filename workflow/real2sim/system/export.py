@@ -156,7 +156,7 @@ _SHAPES = (
 
 
 def _fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Numbers of a compiled model that tell one from another."""
+    """Return the numbers of a compiled model that tell one from another."""
     out = {}
     for name in dir(model):
         if name.startswith("_") or name in ("names", "names_map", "paths", "text_data") or name in _DERIVED:
@@ -180,7 +180,7 @@ def _differing(one: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -> 
 
 
 def baked(replay: Replay, simulated: Simulated) -> mujoco.MjSpec:
-    """The replay's description with the values of a simulation in its elements, and a keyframe ``start``.
+    """Return the replay's description with the values of a simulation in its elements, and a keyframe ``start``.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def to_mjcf(
     texts: Mapping[str, str],
     numbers: Mapping[str, float],
 ) -> str:
-    """MJCF text of a baked description, checked to load as the model that was simulated.
+    """Return the MJCF text of a baked description, checked to load as the model that was simulated.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ HOW_IT_IS_DRIVEN = (
 
 
 def write_replay(out: Path, replay: Replay, simulated: Simulated) -> None:
-    """CSV of the last simulation: controls by actuator and interface sites [m, world] at every step."""
+    """Write a CSV of the last simulation: controls by actuator and interface sites [m, world] at every step."""
     model = simulated.model
     driven = [model.actuator(i).name for i in range(model.nu)]
     sites = [f"{site}_{axis}_m" for site in INTERFACE_SITES for axis in "xyz"]
@@ -347,7 +347,7 @@ def write_replay(out: Path, replay: Replay, simulated: Simulated) -> None:
 
 
 def replayed(text: str, control: np.ndarray) -> np.ndarray:
-    """Interface sites (nstep, 2, 3) [m, world] of an MJCF text in plain MuJoCo, from its keyframe.
+    """Return the interface sites (nstep, 2, 3) [m, world] of an MJCF text in plain MuJoCo, from its keyframe.
 
     ``control`` (nstep, nu) is the command of each step.
     """

@@ -57,6 +57,16 @@ class Finding:
 
 
 @dataclass
+class Walks:
+    """The walking twin: tables of gait and interface, degrees of freedom, speed cap of the comparison."""
+
+    gait: list[Row] = field(default_factory=list)
+    interface: list[Row] = field(default_factory=list)
+    dof: int | None = None
+    main_cap: float = math.nan
+
+
+@dataclass
 class Evidence:
     """The results and published tables that claims are judged by; empty where a stage did not run."""
 
@@ -71,23 +81,20 @@ class Evidence:
     loso: list[Row]
     coverage: list[Row] = field(default_factory=list)
     refined: list[dict[str, Any]] = field(default_factory=list)
-    gait: list[Row] = field(default_factory=list)
-    interface: list[Row] = field(default_factory=list)
-    dof: int | None = None
-    main_cap: float = math.nan
+    walks: Walks = field(default_factory=Walks)
     phantom: bool = False
 
     def said(self, claim: str) -> float:
-        """The number that the paper prints."""
+        """Return the number that the paper prints."""
         return number(self.claims[claim]["published"])
 
     def judged(self, holds: bool, here: float | None, reason: str) -> Finding:
-        """Reproduced or not, on the phantom or on measured people."""
+        """Return the finding: reproduced or not, on the phantom or on measured people."""
         where = " on the phantom" if self.phantom else ""
         return Finding(here, f"reproduced{where}" if holds else f"not reproduced{where}", reason)
 
     def absolute(self, claim: str, here: float, reason: str) -> Finding:
-        """A number that hangs on the study's own recordings: on the phantom it cannot be judged."""
+        """Return the finding on a number that depends on the study's own recordings: none on the phantom."""
         if self.phantom:
             return Finding(
                 here, PRIVATE, f"{reason} The study's recordings are private; the phantom's noise is its own."
@@ -109,7 +116,7 @@ def _judges(*names: str) -> Callable[[Judge], Judge]:
 
 
 def _claim(make: Callable[..., Finding], *names: str) -> None:
-    """The same judgement for several claims, told which one."""
+    """Register one judge, which is told the claim, for several claims."""
     for name in names:
         _JUDGES[name] = partial(make, claim=name)
 
@@ -123,7 +130,7 @@ def _short(value: float, digits: int = 3) -> str:
 
 
 def _half_digit(text: str) -> float:
-    """Half of the last printed digit of a number."""
+    """Return half of the last printed digit of a number."""
     return 0.5 * 10.0 ** -len(text.partition(".")[2])
 
 
@@ -342,7 +349,7 @@ _claim(_number_of_class, "n_common", "n_uncertain")
 
 
 def _half_widths(e: Evidence) -> dict[str, float]:
-    """Half of the printed interval's width in ln."""
+    """Return half of the printed interval's width in ln."""
     return {
         row["parameter"]: math.log(number(row["interval_high"]) / number(row["interval_low"])) / 2
         for row in e.published["table1_priors"]
@@ -390,7 +397,7 @@ def _interval_percentiles(e: Evidence) -> Finding:
 
 
 def _symmetric(row: Row) -> bool:
-    """Does some rounding of the three printed numbers make the prior the geometric centre?"""
+    """Return whether some rounding of the three printed numbers makes the prior the geometric centre."""
 
     def ends(text: str) -> tuple[float, float]:
         digits = len(text.replace(".", "").strip("0").lstrip("0")) or 1
@@ -450,7 +457,7 @@ _claim(_loso, "loso_J", "loso_rmse")
 
 
 def _against_full(e: Evidence) -> list[tuple[str, dict[str, Any]]]:
-    """What refining is worth beside a full calibration, by person and trial; people behind the priors left out."""
+    """Return how refining compares with a full calibration, by person and trial, without people behind the priors."""
     return [
         (f"{record['subject']} {trial}", found["against_full"])
         for record in e.refined
@@ -518,11 +525,15 @@ def _gamma_arithmetic(e: Evidence) -> Finding:
 
 
 def _clouds(e: Evidence, *, factors: bool = False) -> dict[str, dict[str, Row]]:
-    """Rows of the interface table at the main cap by seed and condition; with the robot's compliances changed too."""
+    """Return rows of the interface table at the main cap by seed and condition; of a changed robot with ``factors``."""
     out: dict[str, dict[str, Row]] = {}
-    for row in e.interface:
+    for row in e.walks.interface:
         plain = not row["robot_factor"]
-        if not row["sigma_x_mm"] or (row["cap"] and number(row["cap"]) != e.main_cap) or plain is factors:
+        if (
+            not row["sigma_x_mm"]
+            or (row["cap"] and number(row["cap"]) != e.walks.main_cap)
+            or plain is factors
+        ):
             continue
         name = row["condition"] if plain else f"{row['condition']} {row['robot_factor']}"
         out.setdefault(row["seed"], {})[name] = row
@@ -606,24 +617,24 @@ _JOINTS = {name: joint for joint, name in JOINT_NAMES.items()}
 
 @_judges("dof")
 def _dof(e: Evidence) -> Finding:
-    if e.dof is None:
+    if e.walks.dof is None:
         return _no(_NO_TWIN)
-    return e.judged(e.dof == e.said("dof"), e.dof, "")
+    return e.judged(e.walks.dof == e.said("dof"), e.walks.dof, "")
 
 
 def _gait(e: Evidence, condition: str, joint: str) -> list[Row]:
     return [
         row
-        for row in e.gait
+        for row in e.walks.gait
         if row["condition"] == condition
         and row["joint"] == joint
-        and (not row["cap"] or number(row["cap"]) == e.main_cap)
+        and (not row["cap"] or number(row["cap"]) == e.walks.main_cap)
     ]
 
 
 @_judges("cycles")
 def _cycles(e: Evidence) -> Finding:
-    counts = [number(row["cycles"]) for row in e.gait]
+    counts = [number(row["cycles"]) for row in e.walks.gait]
     if not counts:
         return _no(_NO_TWIN)
     return e.judged(min(counts) >= e.said("cycles"), min(counts), "Fewest of all conditions and seeds.")
@@ -637,7 +648,9 @@ def _rom_change(e: Evidence, claim: str) -> Finding:
     said = e.said(claim)
     same = [math.copysign(1, value) == math.copysign(1, said) for value in found]
     measured = [number(r["rom_change_deg"]) for r in _gait(e, "walk_robot", joint) if r["rom_change_deg"]]
-    reason = f"Per seed: {', '.join(_short(v, 2) for v in found)} at a speed cap of {_short(e.main_cap)}."
+    reason = (
+        f"Per seed: {', '.join(_short(v, 2) for v in found)} at a speed cap of {_short(e.walks.main_cap)}."
+    )
     if measured:
         reason += f" The person's own walks change by {_short(measured[0], 2)}."
     return e.judged(all(same), float(np.mean(found)), reason)
@@ -701,7 +714,7 @@ def _bracketed_hip(e: Evidence) -> Finding:
 
 
 def judge(evidence: Evidence, source: Path) -> list[dict[str, Any]]:
-    """A row per claim of ``source``, the table of claims.
+    """Return a row per claim of ``source``, the table of claims.
 
     Raises
     ------
@@ -731,12 +744,12 @@ def judge(evidence: Evidence, source: Path) -> list[dict[str, Any]]:
 
 
 def _refused(evidence: Evidence) -> str:
-    """Trials that the results rest on although a gate refuses them, as a table cell."""
+    """Return the trials that the results rest on although a gate refuses them, as a table cell."""
     return " ".join(sorted({trial for row in evidence.icc for trial in row.get("overridden", "").split()}))
 
 
 def _rows_of(table: Path | None, subject: str) -> list[Row]:
-    """One person's rows; none where there is no table."""
+    """Return one person's rows; none where there is no table."""
     return [row for row in read_table(table) if row["subject"] == subject] if table else []
 
 
@@ -790,14 +803,26 @@ def claims(
         loso=read_table(loso, ("subject", "status")),
         coverage=read_table(coverage) if coverage else [],
         refined=[read_json(path, ("subject", "status")) for path in refined or []],
-        gait=_rows_of(gait, subject),
-        interface=_rows_of(interface, subject),
-        dof=mujoco.MjModel.from_xml_path(str(human)).nv if human else None,
-        main_cap=main_cap,
+        walks=_walks(subject, gait, interface, human, main_cap),
         phantom=any(row["phantom"] == "true" for row in icc_rows),
     )
     rows = judge(evidence, next(path for path in published if path.stem == "claims"))
     write_table(out, COLUMNS, rows)
+    write_text(out_tex, _latex(rows, evidence.phantom))
+    values = {row["claim"]: row["here"] for row in rows if row["here"] is not None}
+    write_text(out_numbers, macros(values, phantom=evidence.phantom))
+
+
+def _walks(
+    subject: str, gait: Path | None, interface: Path | None, human: Path | None, main_cap: float
+) -> Walks:
+    """Read what is known of the walking twin of one person; arguments as of `claims`."""
+    dof = mujoco.MjModel.from_xml_path(str(human)).nv if human else None
+    return Walks(_rows_of(gait, subject), _rows_of(interface, subject), dof, main_cap)
+
+
+def _latex(rows: list[dict[str, Any]], phantom: bool) -> str:
+    """Return the judged claims as a LaTeX table."""
     printed = [
         [
             row["says"],
@@ -808,16 +833,11 @@ def claims(
         ]
         for row in rows
     ]
-    write_text(
-        out_tex,
-        latex_table(
-            ["Claim", "Published", "Here", "Unit", "Verdict"],
-            printed,
-            caption="Quantitative claims of the paper and what is found here.",
-            label="tab:claims",
-            columns="p{0.42\\linewidth}rrlp{0.2\\linewidth}",
-            phantom=evidence.phantom,
-        ),
+    return latex_table(
+        ["Claim", "Published", "Here", "Unit", "Verdict"],
+        printed,
+        caption="Quantitative claims of the paper and what is found here.",
+        label="tab:claims",
+        columns="p{0.42\\linewidth}rrlp{0.2\\linewidth}",
+        phantom=phantom,
     )
-    values = {row["claim"]: row["here"] for row in rows if row["here"] is not None}
-    write_text(out_numbers, macros(values, phantom=evidence.phantom))

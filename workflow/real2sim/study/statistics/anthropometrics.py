@@ -151,7 +151,7 @@ def _rows(
     return rows
 
 
-def anthropometrics(*, fits: Path, subjects: list[Path], settings: dict, out: Path) -> None:
+def anthropometrics(*, fits: Path, subjects: list[Path], settings: dict[str, Any], out: Path) -> None:
     """Regress ln of each person's parameters on ln of mass [kg], height and waist [m]: exponents with intervals.
 
     ``fits`` is the table of `shareability`, ``subjects`` are the people's subject.yaml. ``settings`` holds

@@ -105,7 +105,7 @@ def icc_untruncated(anova: Anova) -> np.ndarray:
 
 def icc_truncated(anova: Anova) -> np.ndarray:
     """ICC(1,1) (p,) as the paper reports it: max(0, estimate)."""
-    return np.maximum(icc_untruncated(anova), 0.0)
+    return np.asarray(np.maximum(icc_untruncated(anova), 0.0))
 
 
 def variance_components(anova: Anova) -> tuple[np.ndarray, np.ndarray]:

@@ -58,7 +58,7 @@ def _row(record: dict[str, Any]) -> dict[str, Any]:
     return row | {"status": "ok", "n_trials": len(trials)} | means | percent
 
 
-def loso_table(*, loso: list[Path], settings: dict, out: Path) -> None:
+def loso_table(*, loso: list[Path], settings: dict[str, Any], out: Path) -> None:
     """Collect the leave-one-subject-out files: one row per person and, with enough people, their mean.
 
     ``settings`` is the config slice ``statistics``. Costs J have no unit; RMSE in metres.

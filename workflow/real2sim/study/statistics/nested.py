@@ -348,7 +348,7 @@ def _rows(fits: list[dict[str, str]], settings: dict[str, Any]) -> list[dict[str
     return rows
 
 
-def nested_variance(*, fits: Path, icc: Path, settings: dict, out: Path) -> None:
+def nested_variance(*, fits: Path, icc: Path, settings: dict[str, Any], out: Path) -> None:
     """Variance components of restarts in trials in people, and the class by an interval that counts trials.
 
     ``fits`` and ``icc`` are the tables of `shareability`; ``settings`` is the config slice ``statistics``. The interval

@@ -55,7 +55,7 @@ def _candidates(x: np.ndarray) -> np.ndarray:
 def _off_line(x: np.ndarray, dummies: np.ndarray) -> np.ndarray:
     """Projector (n, n) onto what intercepts and one slope cannot explain."""
     q, _ = np.linalg.qr(np.column_stack([dummies, x]))
-    return np.eye(len(x)) - q @ q.T
+    return np.asarray(np.eye(len(x)) - q @ q.T)
 
 
 def _unit_hinges(x: np.ndarray, off_line: np.ndarray, breakpoints: np.ndarray) -> np.ndarray:
@@ -63,7 +63,7 @@ def _unit_hinges(x: np.ndarray, off_line: np.ndarray, breakpoints: np.ndarray) -
     hinges = off_line @ np.maximum(0.0, x[:, None] - breakpoints)
     length = np.linalg.norm(hinges, axis=0)
     usable = length > 1e-9 * np.ptp(x)
-    return hinges / np.where(usable, length, np.inf)
+    return np.asarray(hinges / np.where(usable, length, np.inf))
 
 
 def fit_piecewise(x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None) -> PiecewiseFit:
@@ -168,7 +168,7 @@ def _within_products(
     counts = dummies.sum(axis=0)
 
     def centre(v: np.ndarray) -> np.ndarray:
-        return v - dummies @ ((dummies.T @ v) / (counts if v.ndim == 1 else counts[:, None]))
+        return np.asarray(v - dummies @ ((dummies.T @ v) / (counts if v.ndim == 1 else counts[:, None])))
 
     xc, yc, hc = centre(x), centre(y), centre(np.maximum(0.0, x[:, None] - grid))
     return {

@@ -87,8 +87,9 @@ def classify(low: float, high: float, *, common_below: float, distinct_from: flo
 
 
 def point_prior(values: np.ndarray) -> np.ndarray:
-    """Geometric mean over the fits, (n, p) -> (p,): exp of the log grand mean (paper eq. 6)."""
-    return np.exp(np.log(values).mean(axis=0))
+    """Return the geometric mean over the fits, (n, p) -> (p,): exp of the log grand mean (paper eq. 6)."""
+    mean: np.ndarray = np.exp(np.log(values).mean(axis=0))
+    return mean
 
 
 def empirical_spread(values: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
@@ -234,7 +235,7 @@ def _missing(fits: list[dict[str, Any]], minimum: int) -> str:
     return ""
 
 
-def shareability(*, fits: list[Path], settings: dict, out_fits: Path, out_icc: Path) -> None:
+def shareability(*, fits: list[Path], settings: dict[str, Any], out_fits: Path, out_icc: Path) -> None:
     """Collect all fits in one table and compute ICC, intervals and class of each parameter.
 
     ``settings`` is the config slice ``statistics``. Parameters in the wide table carry their SI unit in the
@@ -271,7 +272,7 @@ def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
     }
 
 
-def priors(*, fits: Path, icc: Path, published: Path, settings: dict, out: Path) -> None:
+def priors(*, fits: Path, icc: Path, published: Path, settings: dict[str, Any], out: Path) -> None:
     """Prior and search ranges of each parameter: spread of the fits, and where the next person is expected.
 
     ``prior`` is the geometric mean, ``interval_*`` the empirical 95 % spread (paper eq. 6), ``prediction_*`` that of

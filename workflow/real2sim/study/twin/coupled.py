@@ -1,9 +1,10 @@
 """The person and the robot in one simulation: strap between pelvis and arm, the base follows under a speed cap.
 
-No loop is closed. The plant of the identification (`coupling.plant`) ends in a pelvis at the end of the robot's chain
+No loop is closed. The plant of the identification (`system.plant`) ends in a pelvis at the end of the robot's chain
 behind the six strap joints, whose path is imposed there. Here that pelvis is the person's: legs and trunk hang on it
-and nothing imposes its path. The strap joints are therefore exactly the coordinates q of the contract, with the same
-code, stiffness, damping and limits as in the fits; the person's six root coordinates are those of robot and strap.
+and nothing imposes its path. The strap joints are therefore exactly the interface coordinates q
+(`geometry.interface_coordinates`), with the same code, stiffness, damping and limits as in the fits; the person's six
+root coordinates are those of robot and strap.
 """
 
 from __future__ import annotations
@@ -37,11 +38,12 @@ from real2sim.system.plant import (
 # Robot axes whose compliance is assumed and shapes the interface cloud, and the joint that has it
 COMPLIANCES = {"lateral": "base_y", "vertical": "arm_lift", "roll": "arm_roll"}
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6
+_SENSORS = 19  # columns of `add_gait_sensors`
 _CADENCE_FILTER_S = 1.0  # over which the person senses the robot's speed
 
 
-def robot_settings(follow: dict) -> dict:
-    """Impedances of the follow mode in the form of the slice ``robot`` of the configuration."""
+def robot_settings(follow: dict[str, Any]) -> dict[str, Any]:
+    """Return the impedances of the follow mode in the form of the slice ``robot`` of the configuration."""
     free = {"stiffness": 0.0, "damping": 0.0}
 
     def impedance(name: str) -> dict[str, float]:
@@ -54,7 +56,7 @@ def robot_settings(follow: dict) -> dict:
 
 
 def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarray]:
-    """Interface pose (3, 3), (3,) [m] of the person standing upright: level, heading straight.
+    """Return the interface pose (3, 3), (3,) [m] of the person standing upright: level, heading straight.
 
     The pelvis frame of the markers is the one in which the interface is level while standing.
     """
@@ -65,14 +67,14 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
 
 def coupled_spec(
     who: Body,
-    human: dict,
+    human: dict[str, Any],
     robot: Path,
-    follow: dict,
-    plant: dict,
+    follow: dict[str, Any],
+    plant: dict[str, Any],
     rest: RestPose,
     limits: JointLimits | None,
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """Describe robot, strap and person as one tree; also the robot's joints (6,) while the person stands.
+    """Describe robot, strap and person as one tree, and return the robot's joints (6,) while the person stands too.
 
     ``human``, ``follow`` are slices of ``twin``, ``plant`` is the slice ``plant`` (its limits are used). Strap
     stiffness and damping are set per simulation.
@@ -82,13 +84,7 @@ def coupled_spec(
     InputError
         Where the robot cannot reach the interface of the standing person.
     """
-    level, place = standing_interface(who, rest)
-    try:
-        start = robot_pose_for(load_robot(robot).compile(), level, place)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise InputError(
-            robot, "", str(error), "a twin that reaches a standing person's pelvis", "Check its geometry."
-        ) from error
+    start = _reach(robot, *standing_interface(who, rest))
     settings = plant | {"timestep_s": human["timestep_s"]}
     spec = plant_spec(
         robot,
@@ -107,6 +103,25 @@ def coupled_spec(
     spec.option.disableflags &= ~(mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
     for name in ("base", "arm", "interface"):
         spec.body(name).gravcomp = 1
+    _add_person(spec, who, rest, human["contact"])
+    _add_follow(spec, follow)
+    add_floor(spec)
+    add_gait_sensors(spec)
+    return spec, start
+
+
+def _reach(robot: Path, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Return the robot's joints (6,) at an interface pose; raise InputError where it cannot reach it."""
+    try:
+        return robot_pose_for(load_robot(robot).compile(), rotation, position)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            robot, "", str(error), "a twin that reaches a standing person's pelvis", "Check its geometry."
+        ) from error
+
+
+def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: dict[str, Any]) -> None:
+    """Hang the person, with their servos, on the plant's pelvis, upright in the frame of the pelvis markers."""
     pelvis = spec.body("pelvis")
     pelvis.mass, pelvis.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
     quat = np.zeros(4)
@@ -114,8 +129,12 @@ def coupled_spec(
     mujoco.mju_mat2Quat(quat, rest.rotation.flatten())
     origin = -rest.position - rest.rotation @ who.mid_asis
     person = pelvis.add_body(name="human", pos=origin, quat=quat)
-    add_human(person, who, human["contact"], degrees=bool(spec.compiler.degree))
+    add_human(person, who, contact, degrees=bool(spec.compiler.degree))
     add_actuators(spec, who)
+
+
+def _add_follow(spec: mujoco.MjSpec, follow: dict[str, Any]) -> None:
+    """Add the velocity servo of the base, limited in force."""
     spec.add_actuator(
         name="follow",
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
@@ -127,13 +146,10 @@ def coupled_spec(
         forcerange=[-follow["force_cap_n"], follow["force_cap_n"]],
         forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
     )
-    add_floor(spec)
-    add_gait_sensors(spec)
-    return spec, start
 
 
 def add_gait_sensors(spec: mujoco.MjSpec) -> None:
-    """Sensors of the pelvis' pose and velocity and of both heels, in this order: 3, 4, 3, 3, 3, 3 columns."""
+    """Add sensors of the pelvis' pose and velocity and of both heels, in this order: 3, 4, 3, 3, 3, 3 columns."""
     site = mujoco.mjtObj.mjOBJ_SITE
     kinds = mujoco.mjtSensor
     for name, kind in (
@@ -181,7 +197,7 @@ class Recording:
     survived_s: np.ndarray
 
     def of(self, rows: np.ndarray) -> Recording:
-        """The recording of some of the walkers."""
+        """Return the recording of some of the walkers."""
         return Recording(
             self.time_s,
             {k: v[rows] for k, v in self.joints.items()},
@@ -203,7 +219,7 @@ class _Walkers:
     ``_base`` that of the robot's base or None.
     """
 
-    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict, n: int, threads: int):
+    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict[str, Any], n: int, threads: int):
         self.policy, self.model, self.n = policy, model, n
         self.substeps = int(twin["training"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
@@ -221,7 +237,7 @@ class _Walkers:
         """Write the robot's part of ``control``: none."""
 
     def _cadence(self) -> np.ndarray | float:
-        """Factor on the clock."""
+        """Return the factor on the clock."""
         return 1.0
 
     def run(
@@ -231,8 +247,7 @@ class _Walkers:
 
         ``watch`` is shown the positions (n, nq) at every control step.
         """
-        n, policy, batch = self.n, self.policy, self.batch
-        reference = policy.reference
+        n, batch, reference = self.n, self.batch, self.policy.reference
         phase = self._phases()
         self._start(phase)
         batch.bind("qacc_warmstart")[:] = 0
@@ -242,38 +257,18 @@ class _Walkers:
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         first = self.model.sensor("root_position").adr[0]
         steps, per = round(seconds / self.control_s), self.substeps // stride
-        widths = {
-            "sensor": 19,
-            "joint": len(JOINTS),
-            "q": len(self._strap),
-            "wrench": len(self._strap),
-            "base": 1,
-        }
-        kept = {name: np.full((n, steps * per, w), np.nan, np.float32) for name, w in widths.items()}
+        kept = self._room(steps * per)
         alive, survived = np.ones(n, bool), np.full(n, float(seconds))
         height = float(reference.qpos[:, 2].mean())
         control = np.zeros((n, self.model.nu))
         for k in range(steps):
-            s = sensors[:, first : first + 19]
+            s = sensors[:, first : first + _SENSORS]
             rotation = rotations(s[:, 3:7])
             root = RootState(s[:, :3], s[:, 7:10], rotation, np.einsum("mji,mj->mi", rotation, s[:, 10:13]))
-            cadence = self._cadence()
-            obs, mirrored = observe(
-                reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(n), cadence
-            )
-            correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
-            control[:, : len(JOINTS)] = servo_target(
-                reference, phase, self.control_s, self.kp, correction, cadence
-            )
-            self._robot_command(root, control)
+            cadence = self._command(phase, root, qpos, qvel, control)
             if watch is not None:
                 watch(qpos)
-            fallen = (
-                (root.position[:, 2] < 0.75 * height)
-                | (root.tilt_sq > 0.3)
-                | ~np.isfinite(qpos).all(axis=1)
-                | batch.warning.any(axis=tuple(range(1, batch.warning.ndim)))
-            )
+            fallen = self._fallen(root, qpos, height)
             record = batch.rollout(
                 self.substeps,
                 np.repeat(control[:, None], self.substeps, axis=1),
@@ -282,25 +277,63 @@ class _Walkers:
             survived[alive & fallen] = k * self.control_s
             alive &= ~fallen
             at = slice(k * per, (k + 1) * per)
-            base = (
-                np.zeros((n, self.substeps, 1)) if self._base is None else record["qvel"][..., [self._base]]
-            )
-            for name, values in (
-                ("sensor", record["sensordata"][..., first : first + 19]),
-                ("joint", record["qpos"][..., self._q]),
-                ("q", record["qpos"][..., self._strap]),
-                ("wrench", record["qfrc_passive"][..., self._strap]),
-                ("base", base),
-            ):
+            for name, values in self._recorded(record, first).items():
                 kept[name][alive, at] = values[alive, stride - 1 :: stride]
             phase = np.mod(phase + cadence * self.control_s / reference.stride_s, 1.0)
             batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         return self._recording(kept, alive, survived, stride)
 
+    def _room(self, samples: int) -> dict[str, np.ndarray]:
+        """Return arrays (n, samples, columns) for what is recorded, NaN."""
+        strap = len(self._strap)
+        widths = {"sensor": _SENSORS, "joint": len(JOINTS), "q": strap, "wrench": strap, "base": 1}
+        return {name: np.full((self.n, samples, w), np.nan, np.float32) for name, w in widths.items()}
+
+    def _command(
+        self, phase: np.ndarray, root: RootState, qpos: np.ndarray, qvel: np.ndarray, control: np.ndarray
+    ) -> np.ndarray | float:
+        """Write the commands of servos and robot into ``control`` (n, nu); return the factor on the clock."""
+        policy, reference = self.policy, self.policy.reference
+        cadence = self._cadence()
+        obs, mirrored = observe(
+            reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(self.n), cadence
+        )
+        correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
+        control[:, : len(JOINTS)] = servo_target(
+            reference, phase, self.control_s, self.kp, correction, cadence
+        )
+        self._robot_command(root, control)
+        return cadence
+
+    def _fallen(self, root: RootState, qpos: np.ndarray, height: float) -> np.ndarray:
+        """Return who lies, hangs or diverged (n,); ``height`` [m] is that of the pelvis in the reference."""
+        warning = self.batch.warning
+        return np.asarray(
+            (root.position[:, 2] < 0.75 * height)
+            | (root.tilt_sq > 0.3)
+            | ~np.isfinite(qpos).all(axis=1)
+            | warning.any(axis=tuple(range(1, warning.ndim)))
+        )
+
+    def _recorded(self, record: dict[str, np.ndarray], first: int) -> dict[str, np.ndarray]:
+        """Return what is kept of a rollout, (n, substeps, columns) by name; ``first`` column of the sensors."""
+        base = (
+            np.zeros((self.n, self.substeps, 1)) if self._base is None else record["qvel"][..., [self._base]]
+        )
+        return {
+            "sensor": record["sensordata"][..., first : first + _SENSORS],
+            "joint": record["qpos"][..., self._q],
+            "q": record["qpos"][..., self._strap],
+            "wrench": record["qfrc_passive"][..., self._strap],
+            "base": base,
+        }
+
     def _phases(self) -> np.ndarray:
         return np.arange(self.n) / self.n
 
-    def _recording(self, kept: dict[str, np.ndarray], alive, survived, stride: int) -> Recording:
+    def _recording(
+        self, kept: dict[str, np.ndarray], alive: np.ndarray, survived: np.ndarray, stride: int
+    ) -> Recording:
         s = kept["sensor"].astype(float)
         along = s[..., 0]
         heel = {side: s[..., 13 + 3 * i] for i, side in enumerate(FEET)}
@@ -324,7 +357,7 @@ class _Walkers:
 class FreeWalk(_Walkers):
     """The same people without a robot, recorded in the same way."""
 
-    def __init__(self, policy: Policy, *, twin: dict, walkers: int, threads: int = 1):
+    def __init__(self, policy: Policy, *, twin: dict[str, Any], walkers: int, threads: int = 1):
         spec = human_spec(policy.body, twin["human"])
         add_gait_sensors(spec)
         super().__init__(policy, spec.compile(), twin, walkers, threads)
@@ -355,8 +388,8 @@ class CoupledWalk(_Walkers):
         self,
         policy: Policy,
         *,
-        twin: dict,
-        plant: dict,
+        twin: dict[str, Any],
+        plant: dict[str, Any],
         robot: Path,
         rest: RestPose,
         limits: JointLimits | None,
@@ -380,10 +413,10 @@ class CoupledWalk(_Walkers):
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
 
     def _dress(self, spec: mujoco.MjSpec, robot: Path) -> None:
-        """What only a camera needs: nothing."""
+        """Add what only a camera needs: nothing."""
 
     def _set_conditions(self) -> None:
-        """Strap and robot impedances per simulation."""
+        """Set strap and robot impedances per simulation."""
         stiffness, damping, armature = (
             self.batch.expand(n) for n in ("jnt_stiffness", "dof_damping", "dof_armature")
         )
@@ -408,7 +441,7 @@ class CoupledWalk(_Walkers):
         return np.tile(np.arange(self.walkers) / self.walkers, len(self.conditions))
 
     def _start(self, phase: np.ndarray) -> None:
-        """Everyone in the reference's state at their phase, the robot where it is while standing, at its cap."""
+        """Start everyone in the reference's state at their phase, the robot where it is while standing, at its cap."""
         model, data = self.model, mujoco.MjData(self.model)
         who, reference = self.policy.body, self.policy.reference
         qpos, qvel, _ = reference.at(phase)
@@ -443,7 +476,7 @@ class CoupledWalk(_Walkers):
         self._base_speed = velocity[:, self._base].copy()
 
     def _robot_command(self, root: RootState, control: np.ndarray) -> None:
-        """Base: the person's speed as the robot sees it, and the distance of standing, under the cap."""
+        """Command the base: the person's speed as the robot sees it, and the distance of standing, under the cap."""
         follow, base = self.follow, self.batch.bind("qpos")[:, self._base]
         share = min(1.0, self.control_s / follow["speed_filter_s"])
         self._pelvis_speed += (root.velocity[:, 0] - self._pelvis_speed) * share
@@ -458,16 +491,16 @@ class CoupledWalk(_Walkers):
         speed = self.batch.bind("qvel")[:, self._base]
         self._base_speed += (speed - self._base_speed) * self.control_s / _CADENCE_FILTER_S
         share = self._base_speed / self.policy.reference.speed
-        return np.clip(share, 0.5, 1.2) ** self.cadence_exponent
+        return np.asarray(np.clip(share, 0.5, 1.2) ** self.cadence_exponent)
 
 
 def _linear(field: np.ndarray, index: int) -> np.ndarray:
-    """Linear coefficient of a joint's spring or damper in an expanded field, (nsim,)."""
+    """Return the linear coefficient of a joint's spring or damper in an expanded field, (nsim,)."""
     return field[:, index] if field.ndim == 2 else field[:, index, 0]
 
 
 def strap_vectors(conditions: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Parameters (12,) of the isotropic conditions: stiffness and damping by name, the same for all six axes."""
+    """Return the parameters (12,) of the isotropic conditions by name: all six axes have the same values."""
     return {
         name: np.array([float(v["stiffness"])] * 6 + [float(v["damping"])] * 6)
         for name, v in conditions.items()

@@ -9,6 +9,7 @@ symmetrically.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def servo_target(
     qpos, qvel, torque = reference.at(phase + 0.5 * cadence * control_s / reference.stride_s)
     target = qpos[:, 7:] + servo_lead_s() * np.reshape(cadence, (-1, 1)) * qvel[:, 6:] + torque / kp
     target[:, :ACTIONS] += correction
-    return target
+    return np.asarray(target)
 
 
 @dataclass
@@ -88,12 +89,12 @@ class RootState:
     @property
     def yaw(self) -> np.ndarray:
         """Heading (m,) [rad]."""
-        return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
+        return np.asarray(np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0]))
 
     @property
     def tilt_sq(self) -> np.ndarray:
         """Squared sine of the pelvis' inclination (m,)."""
-        return self.rotation[:, 2, 0] ** 2 + self.rotation[:, 2, 1] ** 2
+        return np.asarray(self.rotation[:, 2, 0] ** 2 + self.rotation[:, 2, 1] ** 2)
 
 
 def rotations(quaternion: np.ndarray) -> np.ndarray:
@@ -159,7 +160,7 @@ def observe(
 def correction_of(action: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     """Change of the servo targets (m, 13) [rad] by actions (m, 13), mirrored back where the observation was."""
     back = (action * _SIGN)[:, _MIRROR]
-    return np.where(mirrored[:, None], back, action) * action_scale()
+    return np.asarray(np.where(mirrored[:, None], back, action) * action_scale())
 
 
 class Stops:
@@ -180,7 +181,7 @@ class Stops:
         Control step [s].
     """
 
-    def __init__(self, rows: np.ndarray, speed: np.ndarray, settings: dict, control_s: float):
+    def __init__(self, rows: np.ndarray, speed: np.ndarray, settings: dict[str, Any], control_s: float):
         self.rows, self._speed, self._control_s = rows, speed, control_s
         self._play = np.array([settings["along_m"], settings["lateral_m"], np.radians(settings["yaw_deg"])])
         axes = [settings["robot"][name] for name in ("lateral", "yaw")]
@@ -232,9 +233,9 @@ class WalkEnv:
     def __init__(
         self,
         who: Body,
-        human: dict,
+        human: dict[str, Any],
         reference: Reference,
-        settings: dict,
+        settings: dict[str, Any],
         *,
         nsim: int,
         threads: int,
@@ -266,7 +267,7 @@ class WalkEnv:
         self._height = float(reference.qpos[:, 2].mean())
         self.mirrored = np.zeros(nsim, bool)
 
-    def hold(self, settings: dict) -> None:
+    def hold(self, settings: dict[str, Any]) -> None:
         """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
 
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
@@ -312,7 +313,7 @@ class WalkEnv:
         self._push_next[ids] = self._pause(n)
 
     def _pause(self, n: int) -> np.ndarray:
-        return (self._between(self.settings["push"]["every_s"], n) / self.control_s).astype(int)
+        return np.asarray((self._between(self.settings["push"]["every_s"], n) / self.control_s).astype(int))
 
     def _between(self, limits: list[float], n: int) -> np.ndarray:
         return self.rng.uniform(limits[0], limits[1], n)
@@ -384,16 +385,16 @@ class WalkEnv:
         """Who lies, or hangs (nsim,): pelvis below three quarters of its height or inclined beyond 33 degrees."""
         root = self.root()
         z, finite = root.position[:, 2], np.isfinite(self._qpos).all(axis=1)
-        return ~finite | (z < 0.75 * self._height) | (root.tilt_sq > 0.3)
+        return np.asarray(~finite | (z < 0.75 * self._height) | (root.tilt_sq > 0.3))
 
     def off_lane(self) -> np.ndarray:
         """Who has turned by more than 1 rad or strayed by more than 1.5 m (nsim,)."""
         root = self.root()
-        return (np.abs(root.yaw) > 1.0) | (np.abs(root.position[:, 1] - self.lane_y) > 1.5)
+        return np.asarray((np.abs(root.yaw) > 1.0) | (np.abs(root.position[:, 1] - self.lane_y) > 1.5))
 
     def floor_force_bw(self) -> np.ndarray:
         """Vertical force of the floor in the last simulation step (nsim,) [body weights]."""
-        return self._floor[:, 2] / self.who.weight
+        return np.asarray(self._floor[:, 2] / self.who.weight)
 
     def _reward(self, action: np.ndarray) -> np.ndarray:
         w = self.settings["reward"]
@@ -408,7 +409,7 @@ class WalkEnv:
         )
         motion = np.exp(-6 * np.sum(dv**2, axis=1) - 0.15 * np.sum(root.spin**2, axis=1))
         landing = np.maximum(self.floor_force_bw() - w["force_from_bw"], 0) ** 2
-        return (
+        reward: np.ndarray = (
             w["pose"] * np.exp(-w["pose_sharpness"] * (dq**2 @ self._weights))
             + 0.1 * np.exp(-0.03 * np.sum(dqd**2, axis=1))
             + 0.25 * posture
@@ -417,3 +418,4 @@ class WalkEnv:
             - 0.006 * np.sum((action - self._last) ** 2, axis=1)
             - w["force"] * np.minimum(landing, 4.0)
         )
+        return reward

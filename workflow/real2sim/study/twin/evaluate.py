@@ -20,7 +20,7 @@ _SATURATED = 0.999
 
 
 def plain(value: Any) -> Any:
-    """The same nest of dicts and lists with None for every number that JSON cannot hold."""
+    """Return the same nest of dicts and lists with None for every number that JSON cannot hold."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -29,7 +29,7 @@ def plain(value: Any) -> Any:
 
 
 def torque_limits(who: Body) -> np.ndarray:
-    """Limit of each servo (21,) [Nm]."""
+    """Return the limit of each servo (21,) [Nm]."""
     return np.array([who.strength * GAINS[base_name(j)][1] for j in JOINTS])
 
 
@@ -48,7 +48,7 @@ def free_walk(env: WalkEnv, act: Act, *, seconds: float, settle_s: float) -> dic
     columns = [7 + JOINTS.index(f"{j}_{s}") for j in SAGITTAL for s in "rl"]
     sums, counts = np.zeros((PHASES, len(columns))), np.zeros(PHASES)
     limits = torque_limits(env.who) * _SATURATED
-    saturated, samples, distance, time = np.zeros(len(limits)), 0, 0.0, 0.0
+    saturated, samples = np.zeros(len(limits)), 0
     force = np.zeros((n, max(steps - settle, 1), env.substeps), np.float32)
     start_x = np.zeros(n)
     for k in range(steps):
@@ -79,7 +79,6 @@ def free_walk(env: WalkEnv, act: Act, *, seconds: float, settle_s: float) -> dic
     distance = float(np.sum((env._qpos[:, 0] - start_x)[alive]))
     time = float(alive.sum()) * (steps - settle) * env.control_s
     mean = sums / np.maximum(counts, 1)[:, None]
-    peaks = _stride_peaks(force[alive], env)
     return {
         "simulations": n,
         "seconds": seconds,
@@ -88,28 +87,35 @@ def free_walk(env: WalkEnv, act: Act, *, seconds: float, settle_s: float) -> dic
         "speed_m_per_s": distance / time if time else None,
         "speed_error": distance / time / env.reference.speed - 1 if time else None,
         "joints": _accuracy(mean, counts, env.reference),
-        "floor_force_peak_bw": {
-            "mean_of_strides": float(peaks.mean()) if peaks.size else None,
-            "p95_of_strides": float(np.percentile(peaks, 95)) if peaks.size else None,
-            "largest": float(peaks.max()) if peaks.size else None,
-        },
+        "floor_force_peak_bw": _describe_peaks(_stride_peaks(force[alive], env)),
         "saturated_share": float((saturated / max(samples, 1)).max()),
         "saturated_joint": JOINTS[int(saturated.argmax())],
         "warnings": int(env.batch.warning.sum()),
     }
 
 
+def _describe_peaks(peaks: np.ndarray) -> dict[str, float | None]:
+    """Return mean, 95th percentile and largest of peak forces; None where there are none."""
+    if not peaks.size:
+        return dict.fromkeys(("mean_of_strides", "p95_of_strides", "largest"))
+    return {
+        "mean_of_strides": float(peaks.mean()),
+        "p95_of_strides": float(np.percentile(peaks, 95)),
+        "largest": float(peaks.max()),
+    }
+
+
 def _stride_peaks(force: np.ndarray, env: WalkEnv) -> np.ndarray:
-    """Largest vertical floor force of each whole stride (walkers * strides,) [body weights]."""
+    """Return the largest vertical floor force of each whole stride (walkers * strides,) [body weights]."""
     per_stride = max(round(env.reference.stride_s / env.control_s), 1)
     whole = force.shape[1] // per_stride
     if not whole or not len(force):
         return np.empty(0)
-    return force[:, : whole * per_stride].reshape(len(force), whole, -1).max(axis=2).ravel()
+    return np.asarray(force[:, : whole * per_stride].reshape(len(force), whole, -1).max(axis=2).ravel())
 
 
 def _accuracy(mean: np.ndarray, counts: np.ndarray, reference: Reference) -> dict[str, dict[str, float]]:
-    """Range of motion, peak, correlation and RMSE of each sagittal joint against the reference, mean of both legs."""
+    """Return range of motion, peak, correlation and RMSE of each sagittal joint against the reference."""
     good = counts > 0
     out = {}
     half = PHASES // 2
@@ -134,7 +140,7 @@ def _accuracy(mean: np.ndarray, counts: np.ndarray, reference: Reference) -> dic
 
 
 def accepted(walk: dict[str, Any], bars: dict[str, Any]) -> dict[str, bool]:
-    """Which bars of a free walk are met; ``bars`` is the slice ``twin.acceptance`` of the configuration."""
+    """Return which bars a free walk meets; ``bars`` is the slice ``twin.acceptance`` of the configuration."""
     joints = walk["joints"]
 
     def within(key: str, bar: str) -> bool:
@@ -155,7 +161,7 @@ def accepted(walk: dict[str, Any], bars: dict[str, Any]) -> dict[str, bool]:
 
 
 def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settle_s: float) -> dict[str, Any]:
-    """Falls per minute under pushes of up to ``force_n`` [N] per horizontal axis, after settling.
+    """Return the falls per minute under pushes of up to ``force_n`` [N] per horizontal axis, after settling.
 
     Whoever falls or leaves the lane starts again noise-free, with a settling time of its own that does not count.
     ``falls_per_minute`` is None where so many fall while settling that the minutes are not reached.
@@ -192,7 +198,7 @@ def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settl
 
 
 def withstands(pushed: dict[str, Any], bars: dict[str, Any]) -> bool:
-    """Whether a pushed walk meets its bar; never where its minutes were not reached."""
+    """Return whether a pushed walk meets its bar; never where its minutes were not reached."""
     rate = pushed["falls_per_minute"]
     return rate is not None and rate <= bars["falls_per_minute"]
 
@@ -200,7 +206,7 @@ def withstands(pushed: dict[str, Any], bars: dict[str, Any]) -> bool:
 def push_battery(
     env: WalkEnv, act: Act, *, force_n: float, lasts_s: float, settle_s: float, after_s: float
 ) -> dict[str, Any]:
-    """One push in each of 8 directions at each of 16 phases from a noise-free start; who still walks ``after_s`` later.
+    """Push once in each of 8 directions at each of 16 phases; return who still walks ``after_s`` later.
 
     ``env`` has 128 simulations. The push comes after ``settle_s`` of walking.
     """
@@ -234,7 +240,7 @@ def push_battery(
 
 
 def battery_of(env: WalkEnv, act: Act, settings: dict[str, Any]) -> dict[str, Any]:
-    """`push_battery` as the slice ``twin.evaluation`` asks for it."""
+    """Run `push_battery` as the slice ``twin.evaluation`` asks for it."""
     return push_battery(
         env,
         act,
@@ -245,8 +251,8 @@ def battery_of(env: WalkEnv, act: Act, settings: dict[str, Any]) -> dict[str, An
     )
 
 
-def environment(policy: Policy, settings: dict, *, nsim: int, threads: int, seed: int) -> WalkEnv:
-    """Environment of a policy's own person and gait; ``settings`` is the slice ``twin``."""
+def environment(policy: Policy, settings: dict[str, Any], *, nsim: int, threads: int, seed: int) -> WalkEnv:
+    """Return the environment of a policy's own person and gait; ``settings`` is the slice ``twin``."""
     return WalkEnv(
         policy.body,
         settings["human"],

@@ -79,7 +79,7 @@ def foot_ahead(joints: Mapping[str, np.ndarray], side: str, thigh: float, shank:
     """Ankle's distance ahead of the hip (n,) [m] from sagittal angles: strikes without heel markers."""
     thigh_angle = joints[f"hip_flexion_{side}"] + joints["pelvis_tilt"]
     shank_angle = thigh_angle - joints[f"knee_angle_{side}"]
-    return thigh * np.sin(thigh_angle) + shank * np.sin(shank_angle)
+    return np.asarray(thigh * np.sin(thigh_angle) + shank * np.sin(shank_angle))
 
 
 @dataclass
@@ -310,7 +310,7 @@ def _spectral(values: np.ndarray, period: float) -> np.ndarray:
 class _Motion:
     """Full motion of the model from leg and pelvis curves: positions, velocities, accelerations, floor wrench."""
 
-    def __init__(self, body: Body, human: dict, upper: Mapping[str, np.ndarray], stride_s: float):
+    def __init__(self, body: Body, human: dict[str, Any], upper: Mapping[str, np.ndarray], stride_s: float):
         spec = human_spec(body, human)
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.model = spec.compile()
@@ -345,7 +345,9 @@ class _Motion:
         qvel[:, 3:6] = 2 * _conjugate_product(qpos[:, 3:7], rate[:, 3:7])
         return qpos, qvel, _spectral(qvel, self.period)
 
-    def contact(self, qpos, qvel, qacc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def contact(
+        self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Right foot's points (PHASES, 3, 3) [m], floor force (PHASES, 3) [N], centre of pressure (PHASES, 2) [m]."""
         model, data = self.model, self.data
         points = np.empty((PHASES, 3, 3))
@@ -361,7 +363,7 @@ class _Motion:
         y = qpos[:, 1] + (torque[:, 0] - qpos[:, 2] * force[:, 1]) / lift
         return points, force, np.column_stack([x, y])
 
-    def torques(self, qpos, qvel, qacc) -> np.ndarray:
+    def torques(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
         """Joint torques (PHASES, 21) [Nm] with the floor's force where it acts, split between the feet by its place."""
         model, data, half = self.model, self.data, PHASES // 2
         points, force, pressure = self.contact(qpos, qvel, qacc)
@@ -400,10 +402,10 @@ def _quaternions(matrix: np.ndarray) -> np.ndarray:
 def _conjugate_product(q: np.ndarray, r: np.ndarray) -> np.ndarray:
     """Vector part of q* r, (n, 3)."""
     vector, other = q[:, 1:], r[:, 1:]
-    return q[:, :1] * other - r[:, :1] * vector - np.cross(vector, other)
+    return np.asarray(q[:, :1] * other - r[:, :1] * vector - np.cross(vector, other))
 
 
-def _upper_body(settings: dict) -> dict[str, np.ndarray]:
+def _upper_body(settings: dict[str, Any]) -> dict[str, np.ndarray]:
     """Arm curves (PHASES,) [rad]: an assumed swing in antiphase to the legs, small in mass and in effect."""
     phase = np.arange(PHASES) / PHASES
     out = {}
@@ -420,7 +422,7 @@ def _smooth_between(phase: np.ndarray, start: float, end: float, edge: float) ->
     """1 between two phases, 0 elsewhere, with edges."""
     x = np.mod(phase - start, 1.0)
     length = np.mod(end - start, 1.0)
-    return np.clip(np.minimum(x / edge + 1e-9, (length - x) / edge), 0, 1)
+    return np.asarray(np.clip(np.minimum(x / edge + 1e-9, (length - x) / edge), 0, 1))
 
 
 @dataclass
@@ -430,7 +432,7 @@ class _Problem:
     motion: _Motion
     coefficients: _Coefficients
     start: np.ndarray
-    settings: dict
+    settings: dict[str, Any]
 
     def __post_init__(self) -> None:
         s, phase = self.settings, self.coefficients.phase
@@ -500,7 +502,7 @@ class _Problem:
                     offset /= 3
                 out.append(delta[:1] / offset)
         out.append(np.array([(x[-1] - self.start[-1]) / s["speed_m_per_s"]]))
-        return s["data"] * np.concatenate(out)
+        return np.asarray(s["data"] * np.concatenate(out))
 
     def _pressure(self, points: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         """How far the centre of pressure leaves the feet that stand (PHASES, 2), in scales."""
@@ -520,7 +522,7 @@ class _Problem:
         scale = s["pressure_m"]
         over_x = np.maximum(pressure[:, 0] - high, 0) + np.minimum(pressure[:, 0] - low, 0)
         over_y = np.maximum(pressure[:, 1] - y_high, 0) + np.minimum(pressure[:, 1] - y_low, 0)
-        return np.stack([over_x, over_y]) / scale
+        return np.asarray(np.stack([over_x, over_y]) / scale)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """All residuals in one vector, constraints by their weight."""
@@ -541,7 +543,7 @@ def measured_cycle(walks: list[Walk]) -> tuple[dict[str, np.ndarray], dict[str, 
         curve = rows.mean(axis=0)
         # a mean of strides does not quite close: the gap is spread over the cycle
         curve = curve - np.linspace(-0.5, 0.5, 101) * (curve[-1] - curve[0])
-        return np.interp(at, grid, curve)
+        return np.asarray(np.interp(at, grid, curve))
 
     out: dict[str, np.ndarray] = {}
     asymmetry: dict[str, float] = {}
@@ -566,8 +568,8 @@ def make_reference(
     stride_s: float,
     speed: float,
     body: Body,
-    human: dict,
-    settings: dict,
+    human: dict[str, Any],
+    settings: dict[str, Any],
     progress: Callable[[str], None] = lambda text: None,
 ) -> Reference:
     """Nearest gait of the model to measured curves (PHASES,) that can be walked; see the module.
@@ -600,7 +602,14 @@ def make_reference(
     return Reference(qpos, qvel, torque, stride_s, float(x[-1]), measured, report)
 
 
-def _report(problem: _Problem, x, measured, curves, speed: float) -> dict[str, Any]:
+def _report(
+    problem: _Problem,
+    x: np.ndarray,
+    measured: Mapping[str, np.ndarray],
+    curves: Mapping[str, np.ndarray],
+    speed: float,
+) -> dict[str, Any]:
+    """Return what had to be changed of the measured gait, and how well the solution x holds the constraints."""
     motion = problem.motion
     qpos, qvel, qacc = motion.states(curves, x[-1])
     points, force, _ = motion.contact(qpos, qvel, qacc)

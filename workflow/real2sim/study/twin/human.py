@@ -11,8 +11,10 @@ World: x forward, y left, z up. Zero pose: standing upright, arms hanging, palms
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -235,7 +237,9 @@ _SKIN = [0.80, 0.66, 0.56, 1.0]
 _CLOTH = [0.30, 0.42, 0.60, 1.0]
 
 
-def _capsule(body: mujoco.MjsBody, start, end, radius: float, rgba) -> None:
+def _capsule(
+    body: mujoco.MjsBody, start: Iterable[float], end: Iterable[float], radius: float, rgba: list[float]
+) -> None:
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=[*start, *end],
@@ -247,7 +251,7 @@ def _capsule(body: mujoco.MjsBody, start, end, radius: float, rgba) -> None:
     )
 
 
-def _leg(pelvis: mujoco.MjsBody, who: Body, side: str, contact: dict, degrees: bool) -> None:
+def _leg(pelvis: mujoco.MjsBody, who: Body, side: str, contact: dict[str, Any], degrees: bool) -> None:
     sign = -1 if side == "r" else 1
     h = who.height_m
     thigh = pelvis.add_body(name=f"thigh_{side}", pos=[0, sign * _HIP_HALF_WIDTH * h, 0])
@@ -302,7 +306,7 @@ def _arm(torso: mujoco.MjsBody, who: Body, side: str, shoulder: float, degrees: 
     _capsule(lower, (0, 0, 0), (0, 0, -length - 0.5 * who.length("hand")), 0.018 * who.height_m, _SKIN)
 
 
-def add_human(pelvis: mujoco.MjsBody, who: Body, contact: dict, *, degrees: bool) -> None:
+def add_human(pelvis: mujoco.MjsBody, who: Body, contact: dict[str, Any], *, degrees: bool) -> None:
     """Build the person into a body that is the pelvis, its origin in the middle of the hips.
 
     ``contact`` has friction, solref and solimp of the soles; ``degrees`` is the unit of ranges in the description that
@@ -375,7 +379,7 @@ def add_floor(spec: mujoco.MjSpec) -> None:
     )
 
 
-def human_spec(who: Body, settings: dict) -> mujoco.MjSpec:
+def human_spec(who: Body, settings: dict[str, Any]) -> mujoco.MjSpec:
     """Describe the free person on the floor; ``settings`` is the slice ``twin.human`` of the configuration."""
     spec = mujoco.MjSpec()
     spec.modelname = "human"
@@ -428,7 +432,7 @@ def body_of(person: Path) -> tuple[Body, bool]:
     return who, bool(facts.get("phantom", False))
 
 
-def twin_human(*, person: Path, settings: dict, out: Path) -> None:
+def twin_human(*, person: Path, settings: dict[str, Any], out: Path) -> None:
     """Write a person's model as MJCF; ``settings`` is the slice ``twin``, ``person`` a subject.yaml."""
     who, phantom = body_of(person)
     spec = human_spec(who, settings["human"])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def layers_of(arrays: list[np.ndarray]) -> Layers:
 def log_probability(action: np.ndarray, mean: np.ndarray, log_std: np.ndarray) -> np.ndarray:
     """Of actions (m, a) under independent normal distributions, (m,)."""
     z = (action - mean) * np.exp(-log_std)
-    return -0.5 * np.sum(z * z, axis=1) - np.sum(log_std) - 0.5 * LOG_2PI * action.shape[1]
+    return np.asarray(-0.5 * np.sum(z * z, axis=1) - np.sum(log_std) - 0.5 * LOG_2PI * action.shape[1])
 
 
 def policy_loss(
@@ -166,7 +167,7 @@ class Normaliser:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Normalised observations, float32, clipped at 8."""
-        return np.clip((x - self.mean) / np.sqrt(self.variance + 1e-6), -8, 8).astype(np.float32)
+        return np.asarray(np.clip((x - self.mean) / np.sqrt(self.variance + 1e-6), -8, 8).astype(np.float32))
 
 
 @dataclass
@@ -176,7 +177,7 @@ class Learner:
     actor: Layers
     critic: Layers
     log_std: np.ndarray
-    settings: dict
+    settings: dict[str, Any]
     rng: np.random.Generator
     actor_adam: Adam = field(init=False)
     critic_adam: Adam = field(init=False)
@@ -187,7 +188,9 @@ class Learner:
         self.critic_adam = Adam(flat(self.critic), s["critic_rate"])
 
     @classmethod
-    def new(cls, observations: int, actions: int, settings: dict, rng: np.random.Generator) -> Learner:
+    def new(
+        cls, observations: int, actions: int, settings: dict[str, Any], rng: np.random.Generator
+    ) -> Learner:
         """Fresh networks; the actor starts at no correction."""
         hidden = list(settings["hidden"])
         return cls(

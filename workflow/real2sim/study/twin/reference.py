@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,9 @@ def read_walks(folders: list[Path], who: Body) -> list[Walk]:
     return [read_walk(folder, who) for folder in folders]
 
 
-def twin_reference(*, person: Path, walks: list[Path], settings: dict, out: Path, report: Path) -> None:
+def twin_reference(
+    *, person: Path, walks: list[Path], settings: dict[str, Any], out: Path, report: Path
+) -> None:
     """Reference gait of a person from the folders of their walk_normal trials; what had to be changed, in degrees.
 
     ``settings`` is the slice ``twin``; ``out`` the gait (.npz), ``report`` a JSON.

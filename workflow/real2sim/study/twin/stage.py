@@ -9,13 +9,21 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from real2sim.artefacts import number, read_json, read_table, write_json, write_table
+from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS, as_dict, as_vector
 from real2sim.provenance import fingerprint, provenance, sha256
 from real2sim.recording.ingest import WRENCH
 from real2sim.recording.trial import load_limits
 from real2sim.study.tightness import read_pose
 from real2sim.study.twin import adaptation
-from real2sim.study.twin.coupled import COMPLIANCES, Condition, CoupledWalk, FreeWalk, strap_vectors
+from real2sim.study.twin.coupled import (
+    COMPLIANCES,
+    Condition,
+    CoupledWalk,
+    FreeWalk,
+    Recording,
+    strap_vectors,
+)
 from real2sim.study.twin.evaluate import (
     PUSH_DIRECTIONS,
     PUSH_PHASES,
@@ -28,13 +36,17 @@ from real2sim.study.twin.evaluate import (
     withstands,
 )
 from real2sim.study.twin.gait import SAGITTAL
+from real2sim.study.twin.human import Body
 from real2sim.study.twin.policy import Policy, load_policy
 from real2sim.study.twin.reference import PACKAGES, read_walks
 from real2sim.system.plant import RestPose
 
+# Normalised strides (k, 101) [degrees] by sagittal joint
+Cycles = dict[str, np.ndarray]
 
-def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
-    """What a free walker does in every examination, and which bars that meets; ``settings`` is the slice ``twin``."""
+
+def examined(learnt: Policy, settings: dict[str, Any], threads: int) -> dict[str, Any]:
+    """Examine a policy as a free walker; return what it does and the bars met. ``settings`` is the slice ``twin``."""
     e, bars = settings["evaluation"], settings["acceptance"]
     env = environment(learnt, settings, nsim=e["walkers"], threads=threads, seed=0)
     walk = free_walk(env, learnt, seconds=e["walk_s"], settle_s=e["settle_s"])
@@ -50,7 +62,9 @@ def examined(learnt: Policy, settings: dict, threads: int) -> dict[str, Any]:
     return {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
 
 
-def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, threads: int = 1) -> None:
+def twin_evaluate(
+    *, policy: Path, record: Path, settings: dict[str, Any], out: Path, threads: int = 1
+) -> None:
     """Examine a policy against every bar of a free walker; ``settings`` is the slice ``twin``."""
     found = examined(load_policy(policy), settings, threads)
     about = read_json(record, ("phantom", "seed"))
@@ -61,7 +75,7 @@ def twin_evaluate(*, policy: Path, record: Path, settings: dict, out: Path, thre
 
 
 def best_fit(fits: list[Path]) -> np.ndarray | None:
-    """A person's own parameters (12,): geometric mean over trials of each trial's best restart; None without fits."""
+    """Return a person's own parameters (12,): geometric mean over trials of the best restarts; None without fits."""
     by_trial: dict[str, dict[str, Any]] = {}
     for path in fits:
         fit = read_json(path, ("trial", "cost", "parameters"))
@@ -71,17 +85,17 @@ def best_fit(fits: list[Path]) -> np.ndarray | None:
     if not by_trial:
         return None
     rows = [as_vector(fit["parameters"]) for fit in by_trial.values()]
-    return np.exp(np.mean(np.log(rows), axis=0))
+    return np.asarray(np.exp(np.mean(np.log(rows), axis=0)))
 
 
 def read_prior(path: Path) -> np.ndarray:
-    """Prior (12,) of priors.csv or of the published table."""
+    """Read the prior (12,) of priors.csv or of the published table."""
     rows = {row["parameter"]: number(row["prior"]) for row in read_table(path, ("parameter", "prior"))}
     return np.array([rows[name] for name in PARAMETERS])
 
 
 def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
-    """The paper's figures by condition: ``angles`` [deg] by joint (Table III) and ``cloud`` [mm] (Table II)."""
+    """Read the paper's figures by condition: ``angles`` [deg] by joint (Table III), ``cloud`` [mm] (Table II)."""
     angles: dict[str, dict[str, dict[str, float]]] = {}
     columns = ("rom_deg", "rom_sd_deg", "peak_deg")
     for row in read_table(gait, ("joint", "condition", *columns)):
@@ -94,8 +108,8 @@ def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
     }
 
 
-def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: dict) -> list[Condition]:
-    """Every coupling that is simulated: four interfaces at each cap, the robot's compliances under the prior."""
+def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: dict[str, Any]) -> list[Condition]:
+    """Return every coupling to simulate: four interfaces at each cap, the robot's compliances under the prior."""
     straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
     straps = {"soft": straps["soft"], "prior": prior, "stiff": straps["stiff"]}
     if own is not None:
@@ -120,7 +134,7 @@ def twin_coupled(
     robot: Path,
     published_gait: Path,
     published_interface: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
     threads: int = 1,
 ) -> None:
@@ -139,11 +153,41 @@ def twin_coupled(
     settings
         Slices ``twin``, ``plant`` and ``ingest``.
     """
-    learnt, twin = load_policy(policy), settings["twin"]
-    c = twin["coupled"]
-    own = best_fit(fits)
-    prior = read_prior(priors)
-    conditions = conditions_of(prior, own, c)
+    learnt, coupled = load_policy(policy), settings["twin"]["coupled"]
+    own, prior = best_fit(fits), read_prior(priors)
+    conditions = conditions_of(prior, own, coupled)
+    recording, free = _walk(learnt, conditions, robot, neutral, limits, settings, threads)
+    real = _measured_cycles(normal, assisted, learnt.body)
+    sources = [policy, priors, limits, neutral, robot, *fits]
+    about = read_json(record, ("phantom", "seed"))
+    content = {
+        "phantom": about["phantom"],
+        "seed": about["seed"],
+        "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
+        "own_speed_m_per_s": learnt.reference.speed,
+        "follow": settings["twin"]["follow"],
+        "cadence_exponent": coupled["cadence_exponent"],
+        "main_cap": coupled["main_cap"],
+        **_compare(recording, free, conditions, real, assisted, settings),
+        "paper": read_paper(published_gait, published_interface),
+        "policy_sha256": sha256(policy),
+        "provenance": provenance(sources, PACKAGES, fingerprint(__name__)),
+    }
+    write_json(out, plain(content))
+
+
+def _walk(
+    learnt: Policy,
+    conditions: list[Condition],
+    robot: Path,
+    neutral: Path,
+    limits: Path,
+    settings: dict[str, Any],
+    threads: int,
+) -> tuple[Recording, Recording]:
+    """Walk with the robot under every condition, and without it; arguments as of `twin_coupled`."""
+    twin = settings["twin"]
+    walkers, seconds = twin["coupled"]["walkers"], twin["coupled"]["walk_s"]
     rest = read_pose(neutral)[1]["rest"]
     walk = CoupledWalk(
         learnt,
@@ -153,52 +197,53 @@ def twin_coupled(
         rest=RestPose(np.array(rest["rotation"]), np.array(rest["position"])),
         limits=load_limits(limits),
         conditions=conditions,
-        walkers=c["walkers"],
+        walkers=walkers,
         threads=threads,
     )
-    recording = walk.run(c["walk_s"])
-    free = FreeWalk(learnt, twin=twin, walkers=c["walkers"], threads=threads).run(c["walk_s"])
-    reference_cycles = adaptation.cycles_of(free, c["settle_s"])
-    measured = {
-        "walk_normal": read_walks(normal, learnt.body),
-        "walk_robot": read_walks(assisted, learnt.body),
+    recording = walk.run(seconds)
+    return recording, FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads).run(seconds)
+
+
+def _measured_cycles(normal: list[Path], assisted: list[Path], who: Body) -> dict[str, Cycles]:
+    """Return the cycles of the measured walks without and with the robot, of those kinds that were recorded."""
+    measured = {"walk_normal": read_walks(normal, who), "walk_robot": read_walks(assisted, who)}
+    return {name: adaptation.measured_cycles(walks) for name, walks in measured.items() if walks}
+
+
+def _compare(
+    recording: Recording,
+    free: Recording,
+    conditions: list[Condition],
+    real: dict[str, Cycles],
+    assisted: list[Path],
+    settings: dict[str, Any],
+) -> dict[str, Any]:
+    """Return ``free``, ``conditions`` and ``measured`` of the file: walks without robot, with it, and measured ones."""
+    coupled, filters = settings["twin"]["coupled"], settings["ingest"]
+    settle, walkers = coupled["settle_s"], coupled["walkers"]
+    parts = [recording.of(np.arange(k * walkers, (k + 1) * walkers)) for k in range(len(conditions))]
+    return {
+        "free": adaptation.describe(adaptation.cycles_of(free, settle), real.get("walk_normal")),
+        "conditions": [
+            _condition(part, condition, settle, real.get("walk_robot"), filters)
+            for part, condition in zip(parts, conditions, strict=True)
+        ],
+        "measured": {
+            **{name: adaptation.describe(cycles) for name, cycles in real.items()},
+            "cloud": _measured_cloud(assisted, filters),
+            "wrench": _measured_wrench(assisted),
+        },
     }
-    real = {name: adaptation.measured_cycles(walks) for name, walks in measured.items() if walks}
-    filters = settings["ingest"]
-    about = read_json(record, ("phantom", "seed"))
-    results = []
-    for k, condition in enumerate(conditions):
-        part = recording.of(np.arange(k * c["walkers"], (k + 1) * c["walkers"]))
-        results.append(_condition(part, condition, c["settle_s"], real.get("walk_robot"), filters))
-    write_json(
-        out,
-        plain(
-            {
-                "phantom": about["phantom"],
-                "seed": about["seed"],
-                "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
-                "own_speed_m_per_s": learnt.reference.speed,
-                "follow": twin["follow"],
-                "cadence_exponent": c["cadence_exponent"],
-                "main_cap": c["main_cap"],
-                "free": adaptation.describe(reference_cycles, real.get("walk_normal")),
-                "conditions": results,
-                "measured": {
-                    **{name: adaptation.describe(cycles) for name, cycles in real.items()},
-                    "cloud": _measured_cloud(assisted, filters),
-                    "wrench": _measured_wrench(assisted),
-                },
-                "paper": read_paper(published_gait, published_interface),
-                "policy_sha256": sha256(policy),
-                "provenance": provenance(
-                    [policy, priors, limits, neutral, robot, *fits], PACKAGES, fingerprint(__name__)
-                ),
-            }
-        ),
-    )
 
 
-def _condition(part, condition: Condition, settle_s: float, measured, filters: dict) -> dict[str, Any]:
+def _condition(
+    part: Recording,
+    condition: Condition,
+    settle_s: float,
+    measured: Cycles | None,
+    filters: dict[str, Any],
+) -> dict[str, Any]:
+    """Return what the walkers of one condition did after settling; ``filters`` is the slice ``ingest``."""
     after = part.time_s >= settle_s
     rate = 1 / float(part.time_s[1] - part.time_s[0])
     q = part.interface[:, after]
@@ -218,12 +263,12 @@ def _condition(part, condition: Condition, settle_s: float, measured, filters: d
     }
 
 
-def _measured_cloud(assisted: list[Path], filters: dict) -> dict[str, Any]:
-    """Cloud of the steady part of the measured walks with the robot."""
+def _measured_cloud(assisted: list[Path], filters: dict[str, Any]) -> dict[str, Any]:
+    """Return the cloud of the steady part of the measured walks with the robot."""
     trials = []
     for folder in assisted:
         columns, _ = read_pose(folder / "pose.parquet")
-        q = np.column_stack([columns[f"q_{axis}"] for axis in adaptation.AXES])
+        q = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
         trials.append(q[_steady_rows(folder)])
     if not trials:
         return {"trials": 0}
@@ -233,7 +278,7 @@ def _measured_cloud(assisted: list[Path], filters: dict) -> dict[str, Any]:
 
 
 def _steady_rows(folder: Path) -> np.ndarray:
-    """Samples of a walk at 85 % of its usual speed or more."""
+    """Return the samples of a walk at 85 % of its usual speed or more."""
     table = pq.read_table(folder / "pose.parquet", columns=["time_s", "pelvis_x", "pelvis_y"])
     time_s, x, y = (table[name].to_numpy() for name in table.column_names)
     known = np.isfinite(x)
@@ -246,7 +291,7 @@ def _steady_rows(folder: Path) -> np.ndarray:
 
 
 def _measured_wrench(assisted: list[Path]) -> dict[str, Any]:
-    """Logged interface wrench of the measured walks, where there is one."""
+    """Return the logged interface wrench of the measured walks, where there is one."""
     rows = []
     for folder in assisted:
         table = pq.read_table(folder / "robot.parquet")
@@ -295,7 +340,7 @@ BAR_COLUMNS = ("subject", "seed", "bar", "value", "limit", "met", "phantom")
 def twin_table(
     *, evaluations: list[Path], coupled: list[Path], out_bars: Path, out_gait: Path, out_cloud: Path
 ) -> None:
-    """Bars of every policy, gait and interface cloud of every condition, one row each.
+    """Write bars of every policy, gait and interface cloud of every condition, one row each.
 
     The folder of a file names the person, ``<SUBJECT>/seed-<N>/…``.
     """
@@ -309,7 +354,7 @@ def twin_table(
 
 
 def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per bar of an examination: figure, limit, met."""
+    """Return one row per bar of an examination: figure, limit, met."""
     walk, bars, met = e["walk"], e["bars"], e["met"]
     figures: list[tuple[str, Any, Any, bool]] = [
         ("falls", walk["falls"], 0, met["falls"]),
@@ -348,12 +393,12 @@ def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per condition and joint: free, coupled and measured."""
+    """Return one row per condition and joint: free, coupled and measured."""
     rows = []
     measured = [
         (name, r["measured"][name]) for name in ("walk_normal", "walk_robot") if name in r["measured"]
     ]
-    cases: list[tuple[str, float | None, dict, int | None, int | None, dict | None]] = [
+    cases: list[tuple[str, float | None, dict[str, Any], int | None, int | None, dict[str, Any] | None]] = [
         ("free", None, r["free"], None, None, None)
     ]
     cases += [(name, None, joints, None, None, r["measured"].get("walk_normal")) for name, joints in measured]
@@ -393,8 +438,8 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def cloud_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row per condition and for the measured walks: spread of the interface about the pelvis."""
-    cases: list[tuple[str, float | None, str, dict, int | None, int | None]] = [
+    """Return one row per condition and for the measured walks: spread of the interface about the pelvis."""
+    cases: list[tuple[str, float | None, str, dict[str, Any], int | None, int | None]] = [
         ("walk_robot", None, "", r["measured"]["cloud"], None, None)
     ]
     for c in r["conditions"]:

@@ -49,7 +49,7 @@ class Trainer:
         Of everything random, and of the simulations; the result does not depend on the threads.
     """
 
-    def __init__(self, who: Body, reference: Reference, settings: dict, *, seed: int, threads: int):
+    def __init__(self, who: Body, reference: Reference, settings: dict[str, Any], *, seed: int, threads: int):
         self.who, self.reference, self.settings = who, reference, settings
         self.options = settings["training"]
         sims = self.options["simulations"]
@@ -77,7 +77,7 @@ class Trainer:
         self._lengths = [0.0] * 200
 
     def policy(self) -> Policy:
-        """The deterministic policy as it is now: the mean of the last updates' weights.
+        """Return the deterministic policy as it is now: the mean of the last updates' weights.
 
         Single updates walk back and forth about it: the floor force of one and the next differs by half a body weight.
         """
@@ -91,11 +91,11 @@ class Trainer:
 
     @property
     def mean_episode_s(self) -> float:
-        """Mean length of the last 200 episodes [s]."""
+        """Return the mean length of the last 200 episodes [s]."""
         return float(np.mean(self._lengths[-200:]))
 
     def iterate(self) -> dict[str, float]:
-        """One rollout of all simulations and one update; returns figures of it."""
+        """Roll out all simulations and update once; return figures of it."""
         o, env, learner = self.options, self.env, self.learner
         horizon, n = o["horizon"], env.nsim
         obs = np.empty((horizon, n, OBSERVATIONS), np.float32)
@@ -116,11 +116,8 @@ class Trainer:
             timed_out = ~fallen & (env.age >= longest)
             raw = env.observation()
             if timed_out.any():
-                reward[t, timed_out] += (
-                    o["ppo"]["gamma"]
-                    / o["reward_scale"]
-                    * learner.value(self.normaliser(raw[timed_out])).astype(float)
-                )
+                later = learner.value(self.normaliser(raw[timed_out])).astype(float)
+                reward[t, timed_out] += o["ppo"]["gamma"] / o["reward_scale"] * later
             over = fallen | timed_out
             ended[t] = over
             if over.any():
@@ -139,13 +136,8 @@ class Trainer:
             gae.ravel(),
             (gae + value).ravel(),
         )
-        # a plain mean at first, then one that forgets
-        share = 1 / min(self.iteration + 1, o["ppo"]["averaged_updates"])
-        for mean, now in zip(self._mean_actor, flat(learner.actor), strict=True):
-            mean += share * (now - mean)
-        push = o["push"]
-        if self.mean_episode_s > push["gate_s"]:
-            env.push_force = min(env.push_force + push["ramp_n"], push["force_n"] * push["margin"])
+        self._average_weights()
+        self._ramp_pushes()
         self.iteration += 1
         self.steps += horizon * n
         row = {
@@ -161,6 +153,19 @@ class Trainer:
         self.curve.append(row)
         return row
 
+    def _average_weights(self) -> None:
+        """Move the averaged weights toward the actor's: a plain mean at first, then one that forgets."""
+        share = 1 / min(self.iteration + 1, self.options["ppo"]["averaged_updates"])
+        for mean, now in zip(self._mean_actor, flat(self.learner.actor), strict=True):
+            mean += share * (now - mean)
+
+    def _ramp_pushes(self) -> None:
+        """Raise the pushes by a step once episodes are long enough, up to their largest."""
+        push = self.options["push"]
+        if self.mean_episode_s > push["gate_s"]:
+            largest = push["force_n"] * push["margin"]
+            self.env.push_force = min(self.env.push_force + push["ramp_n"], largest)
+
     def _env(self, nsim: int, seed: int) -> WalkEnv:
         return WalkEnv(
             self.who,
@@ -173,7 +178,7 @@ class Trainer:
         )
 
     def evaluate(self) -> dict[str, Any]:
-        """Examination of the policy as it is now, with the bars that it meets.
+        """Examine the policy as it is now; return figures and the bars that it meets.
 
         The free walk of the acceptance; where that is passed, also single pushes and a short walk under pushes, so
         that a training does not end with a policy that walks well and falls easily.
@@ -201,7 +206,7 @@ class Trainer:
             self.best = (met, self.steps, self.policy())
 
     def chosen(self) -> tuple[int, Policy]:
-        """Steps and policy that met most bars when examined, the latest of equals; as it is now where none was."""
+        """Return steps and policy of the examination that met most bars, the latest of equals; as now without one."""
         return (self.steps, self.policy()) if self.best is None else self.best[1:]
 
     # -------------------- going on after an interruption
@@ -314,7 +319,7 @@ def train(
 
 
 def summary(verdict: dict[str, Any]) -> str:
-    """One line about an evaluation."""
+    """Return one line about an evaluation."""
     walk = verdict["walk"]
     joints = "; ".join(
         f"{name.split('_')[0]} RoM {v['rom_error_deg']:+.1f} peak {v['peak_error_deg']:+.1f} "
@@ -330,8 +335,8 @@ def summary(verdict: dict[str, Any]) -> str:
     )
 
 
-def training_key(who: Body, reference: Path, settings: dict, seed: int) -> str:
-    """What a checkpoint has to agree on to be gone on from."""
+def training_key(who: Body, reference: Path, settings: dict[str, Any], seed: int) -> str:
+    """Return the key that a checkpoint must have for a training to continue from it."""
     about = [who.height_m, who.mass_kg, who.sex, sha256(reference), settings["human"], settings["training"]]
     about += [seed, mujoco.__version__, fingerprint(__name__)]
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
@@ -342,7 +347,7 @@ def twin_train(
     person: Path,
     reference: Path,
     seed: int,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
     record: Path,
     checkpoint: Path,

@@ -34,7 +34,8 @@ def robot_motion(path: Path, interface: np.ndarray, start: int) -> np.ndarray | 
     columns[:, 0] = np.cos(turn) * x - np.sin(turn) * y
     columns[:, 1] = np.sin(turn) * x + np.cos(turn) * y
     columns[known, 2] = np.unwrap(columns[known, 2])
-    return columns - np.nanmean(columns[:start], axis=0)
+    moved: np.ndarray = columns - np.nanmean(columns[:start], axis=0)
+    return moved
 
 
 def log_offset_sd(quality: Path) -> float:
@@ -85,7 +86,8 @@ def rotation_vectors(rotation: np.ndarray) -> np.ndarray:
 def bridged_rotation(rotation: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) with unknown samples bridged along the rotation vector from the first known one."""
     first = rotation[np.argmax(np.isfinite(rotation).all(axis=(1, 2)))]
-    return first @ Rotation.from_rotvec(rotation_vectors(rotation)).as_matrix()
+    bridged: np.ndarray = first @ Rotation.from_rotvec(rotation_vectors(rotation)).as_matrix()
+    return bridged
 
 
 def interface_path(pose: Path) -> np.ndarray:

@@ -89,7 +89,8 @@ class CuffMechanism:
         return y
 
     def _place(self, x: np.ndarray) -> np.ndarray:
-        return self._rest + x[:, :1] * _X + x[:, 1:2] * _Z
+        place: np.ndarray = self._rest + x[:, :1] * _X + x[:, 1:2] * _Z
+        return place
 
     def state(self, step: int, x: np.ndarray, rate: np.ndarray) -> State:
         """See `stepping.Mechanism`."""

@@ -30,7 +30,7 @@ class InterfaceLaw:
 
     def static_force(self, q: np.ndarray) -> np.ndarray:
         """Return the force (b, k) on the machine at rest at q (b, k), without memory."""
-        force = -self.stiffness * q
+        force: np.ndarray = -self.stiffness * q
         x = q[:, self.axis]
         k = self.stiffness[self.axis]
         if self.effect == "slack":

@@ -58,7 +58,8 @@ class OutputChain:
         source_s = np.clip((1 + self.drift) * out_s - self.offset, time_s[0], time_s[-1])
         if np.array_equal(source_s, time_s):
             return values
-        return make_interp_spline(time_s, values, k=3)(source_s)
+        delayed: np.ndarray = make_interp_spline(time_s, values, k=3)(source_s)
+        return delayed
 
 
 def write_case(out: Path, tables: Mapping[str, Mapping[str, np.ndarray]], truth: Mapping[str, Any]) -> Path:

@@ -29,7 +29,8 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return rotations (..., 3, 3) times vectors (..., 3)."""
-    return np.matmul(rotation, vector[..., None])[..., 0]
+    turned: np.ndarray = np.matmul(rotation, vector[..., None])[..., 0]
+    return turned
 
 
 def _numbers(text: str | None, size: int) -> np.ndarray:
@@ -250,7 +251,16 @@ class Tree:
         alpha = np.matmul(self._carried, axes_rate)
         return self._dynamics(rotation, origins, axes, per_rate, acceleration, omega, alpha)
 
-    def _dynamics(self, rotation, origins, axes, per_rate, acceleration, omega, alpha) -> Motion:
+    def _dynamics(
+        self,
+        rotation: np.ndarray,
+        origins: np.ndarray,
+        axes: np.ndarray,
+        per_rate: np.ndarray,
+        acceleration: np.ndarray,
+        omega: np.ndarray,
+        alpha: np.ndarray,
+    ) -> Motion:
         b, m = rotation.shape[:2]
         back = rotation.swapaxes(-1, -2)
         turning = self._carried[:, :, None] * axes[:, None]  # (b, m, n, 3)

@@ -72,7 +72,8 @@ def rest(mechanism: Mechanism, servo: Servo, law: InterfaceLaw, x: np.ndarray) -
     def force(at: np.ndarray) -> np.ndarray:
         s = mechanism.state(0, at, still)
         joints = servo.stiffness * (servo.goal - s.y)
-        return _transposed(s.reduction, joints) + _transposed(s.interface, law.static_force(s.q))
+        total: np.ndarray = _transposed(s.reduction, joints) + _transposed(s.interface, law.static_force(s.q))
+        return total
 
     for _ in range(12):
         now, step = force(x), 1e-6
@@ -86,11 +87,13 @@ def rest(mechanism: Mechanism, servo: Servo, law: InterfaceLaw, x: np.ndarray) -
 
 
 def _transposed(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return np.matmul(matrix.swapaxes(1, 2), vector[:, :, None])[:, :, 0]
+    product: np.ndarray = np.matmul(matrix.swapaxes(1, 2), vector[:, :, None])[:, :, 0]
+    return product
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return np.matmul(matrix, vector[:, :, None])[:, :, 0]
+    product: np.ndarray = np.matmul(matrix, vector[:, :, None])[:, :, 0]
+    return product
 
 
 def run(
@@ -122,7 +125,15 @@ def run(
     return Trace(*(np.array(part) for part in (ys, qs, rotations, origins)))
 
 
-def next_rate(s, servo, law, half, rate, step_s, friction) -> np.ndarray:
+def next_rate(
+    s: State,
+    servo: Servo,
+    law: InterfaceLaw,
+    half: np.ndarray,
+    rate: np.ndarray,
+    step_s: float,
+    friction: Friction,
+) -> np.ndarray:
     """Return the minimal rates (b, x) half a step later."""
     h = step_s
     inertia = np.matmul(s.reduction.swapaxes(1, 2), np.matmul(s.motion.inertia, s.reduction))
@@ -165,7 +176,8 @@ class Friction:
             self._impulses = [[0.0] * len(self._bounds) for _ in slip]
         for i in range(len(slip)):
             _bound(mobility[i], slip[i], [h * b for b in self._bounds], self._impulses[i])
-        return free + _times(response, np.array(self._impulses))
+        rates: np.ndarray = free + _times(response, np.array(self._impulses))
+        return rates
 
 
 def _bound(

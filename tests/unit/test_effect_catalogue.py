@@ -154,26 +154,13 @@ def test_an_entry_point_is_an_effect_or_several():
     assert [effect.form for effect in collect(entries, SHIPPED)] == ["_one", "_two", ""]
 
 
-PLUGIN = """
-from real2sim.effects import AtRest, Effect, EffectParameter, Mechanism, damping
-
-
-class CubicDamper(Mechanism):
-    def set(self, fields, where, impedance, values):
-        fields["dof_dampingpoly"][:, fields.dof(where.axis), 1] = values[:, 0]
-
-
-EFFECT = Effect(
-    "cubic_damping",
-    "interface",
-    "F = d qdot + d3 qdot^3",
-    (EffectParameter("cubic", "Ns3/m3|Nms3/rad3", 0.0, 1e3, (1.0,), damping),),
-    separating_trial="the same amplitude at three speeds",
-    at_rest=AtRest((0.0,)),
-    confusable=("cubic_damping", "quadratic_damping"),
-    plant=CubicDamper(),
+# the example of the page
+PLUGIN = (
+    (ROOT / "docs" / "how-to" / "effect.md")
+    .read_text(encoding="utf-8")
+    .split("```")[1]
+    .removeprefix("python")
 )
-"""
 QUESTIONS = """
 import json, sys
 import numpy as np

@@ -1,4 +1,4 @@
-"""The plant of the contract's section 5, first version: a loop closed by a weld. Only to be compared with.
+"""Build the plant as a loop closed by a weld, to compare the library's plant with.
 
 The pelvis is a servo-driven body of its own on six joints, the strap's six joints hang a plate on it, and a weld of
 stiff impedance (solimp .999 .9999) closes the loop from the plate to the robot's interface. Both bodies of the weld

@@ -30,7 +30,7 @@ def rows(schema: dict, place: str = "") -> Iterator[str]:
 def reference() -> str:
     """Return the table of keys."""
     schema = yaml.safe_load(
-        (ROOT / "workflow" / "schemas" / "config.schema.yaml").read_text(encoding="utf-8")
+        (ROOT / "workflow" / "real2sim" / "schemas" / "config.schema.yaml").read_text(encoding="utf-8")
     )
     return "| key | meaning | default |\n|---|---|---|\n" + "".join(rows(schema))
 

@@ -7,8 +7,9 @@ import numpy as np
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.chains import Context, markers_of
-from real2sim.system.description import shipped_system
-from real2sim.system.effect_replay import EffectReplay
+from real2sim.effects.replay import EffectReplay
+from real2sim.study.strap import strap_system
+from real2sim.system.description import System
 from real2sim.system.plant import RestPose
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
@@ -20,7 +21,15 @@ SCALES = Scales(
     PRIOR[6:],
     np.array([65.0, 35.0, 7.0, 0.24, 0.22, 4.0]),
 )
-STRAP = shipped_system("strap")
+STRAP = strap_system(ROBOT, CONFIG)
+
+
+def about(parameters: np.ndarray) -> System:
+    """The strap with bounds a factor of three about parameters (12,)."""
+    bounds = {n: (v / 3, 3 * v) for n, v in zip(STRAP.parameter_names, parameters, strict=True)}
+    return STRAP.with_model(ROBOT, bounds=bounds)
+
+
 # Interface markers are so far from their middle [m]
 HALF = 0.17
 Pose = tuple[np.ndarray, np.ndarray]

@@ -17,7 +17,7 @@ from real2sim.study.assessment import (
     InputNoise,
     assessment,
     assessment_table,
-    marker_noise,
+    pelvis_marker_noise,
     robot_sensitivity,
     with_pelvis_noise,
 )
@@ -167,17 +167,17 @@ def test_slope_of_the_input_noise_is_the_excess_slope_of_the_cost(trial, tmp_pat
 
 
 def test_noise_is_read_from_the_neutral_or_not_known(trial, tmp_path):
-    assert marker_noise(trial.neutral_quality) == pytest.approx([NOISE_M] * 4)
+    assert pelvis_marker_noise(trial.neutral_quality) == pytest.approx([NOISE_M] * 4)
     axes = {name: {"noise_sd_m": [3e-4, 4e-4, 0.0]} for name in PELVIS_MARKERS}
     path = tmp_path / "quality.json"
     path.write_text(json.dumps({"markers": axes}))
-    assert marker_noise(path) == pytest.approx([5e-4 / np.sqrt(3)] * 4)
+    assert pelvis_marker_noise(path) == pytest.approx([5e-4 / np.sqrt(3)] * 4)
     axes["PSIS_L"]["noise_sd_m"] = [3e-4, None, 1e-4]
     path.write_text(json.dumps({"markers": axes}))
-    assert marker_noise(path) is None
+    assert pelvis_marker_noise(path) is None
     del axes["PSIS_L"]
     path.write_text(json.dumps({"markers": axes}))
-    assert marker_noise(path) is None
+    assert pelvis_marker_noise(path) is None
 
 
 def test_table_names_the_constant_that_matters_most(assessed, tmp_path):

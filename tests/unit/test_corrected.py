@@ -9,6 +9,8 @@ from real2sim.diagnosis.corrected import corrected
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 
+from tests.unit.simulated_effects import STRAP
+
 SAMPLES, NOISE = 4000, 0.5
 TRUTH = np.linspace(-1.0, 1.0, 12)
 
@@ -38,7 +40,7 @@ class _Problem:
 
     lower, upper = np.full(12, -5.0), np.full(12, 5.0)
 
-    def __init__(self, evidence, effects, bounds):
+    def __init__(self, evidence, effects, system):
         self._evidence = evidence
 
     def _residuals(self, z):
@@ -56,7 +58,7 @@ def _fits(monkeypatch, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
     monkeypatch.setattr(module, "JointResiduals", _Problem)
     evidence = _Measured(noise)
     plain = np.linalg.lstsq(evidence.x, evidence.y, rcond=None)[0]
-    pair = Pair(evidence, evidence, None)
+    pair = Pair(evidence, evidence, STRAP)
     return (plain, *corrected(pair, Hypothesis((), plain, (1.0, 1.0)), draws=8, iterations=8, seed=3))
 
 
@@ -85,7 +87,7 @@ def test_what_only_noise_tells_is_told_as_not_known(monkeypatch):
     evidence.x[:, 0] = NOISE * rng.standard_normal(SAMPLES)
     evidence.y = evidence.x @ TRUTH + 0.1 * rng.standard_normal(SAMPLES)
     plain = np.linalg.lstsq(evidence.x, evidence.y, rcond=None)[0]
-    pair = Pair(evidence, evidence, None)
+    pair = Pair(evidence, evidence, STRAP)
     _, covariance = corrected(pair, Hypothesis((), plain, (1.0, 1.0)), draws=8, iterations=1, seed=3)
     curvature = np.linalg.inv(evidence.x.T @ evidence.x) * evidence.unit**2
     assert covariance[0, 0] > 100 * curvature[0, 0]

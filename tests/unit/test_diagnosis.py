@@ -9,14 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.diagnosis import stage
+from real2sim.diagnosis import trials as trials_module
 from real2sim.diagnosis.attribute import Attribution, finished
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision
+from real2sim.diagnosis.intervals import PLANT_SD_LN, parameter_verdicts
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.diagnosis.stage import PLANT_SD_LN, _decided, strap_verdicts
+from real2sim.diagnosis.trials import Found, Trials, conclude, is_shown_by_held_out_alone, search_both_ways
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.inference.parameters import Bounds
+from real2sim.study.strap import strap_system
 from real2sim.verification.score import score_diagnosis
 
 from tests.unit.simulated_effects import SCALES, STRAP
@@ -74,33 +75,31 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         ("slack", "joint_limit", "slack"),
     ],
 )
-def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, tmp_path, first, second, verdict):
+def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, first, second, verdict):
     """Stops that the first trial hardly reaches were `unknown` 0.81 of it, and `joint_limit` 0.95 of the second."""
     pair = SimpleNamespace(exchanged=False, train=SimpleNamespace(settled=True))
     asked = []
 
-    def prepared(**known):
-        asked.append(known)
-        return pair, np.zeros(12)
+    class Two(Trials):
+        def prepare(self, *, settled=False):
+            asked.append((self.train, self.held_out, settled))
+            return pair, np.zeros(12)
 
-    def decision(pair, attribution, options):
-        return Decision({}, np.zeros(1), attribution, (), None if attribution in ("unknown", "none") else 0)
+        def attribute(self, pair, z):
+            return Found(pair, second)
 
-    monkeypatch.setattr(stage, "searched_as_held", lambda **known: ((pair, first), None))
-    monkeypatch.setattr(stage, "prepare", prepared)
-    monkeypatch.setattr(stage, "attribute", lambda *args, **known: second)
-    monkeypatch.setattr(stage, "_decided", decision)
-    one, other = tmp_path / "dynamic_1", tmp_path / "dynamic_2"
-    _, found, _, the_other_way = stage.decided(
-        train=one, held_out=other, options=CONFIG["diagnosis"], progress=lambda text: None, robot=ROBOT
-    )
-    assert found.verdict == verdict
-    assert the_other_way is (first == "unknown" and second == "joint_limit")
-    # as the robot was held before, and not at all where something was named
-    expected = (
-        [{"train": other, "held_out": one, "settled": True, "robot": ROBOT}] if first == "unknown" else []
-    )
-    assert asked == expected
+    def conclusion(found, options):
+        verdict = found.attribution
+        return Decision({}, np.zeros(1), verdict, (), None if verdict in ("unknown", "none") else 0)
+
+    monkeypatch.setattr(trials_module, "search_initial_states", lambda trials: (Found(pair, first), None))
+    monkeypatch.setattr(trials_module, "conclude", conclusion)
+    two = Two("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
+    outcome = search_both_ways(two)
+    assert outcome.decision.verdict == verdict
+    assert outcome.the_other_way is (first == "unknown" and second == "joint_limit")
+    # under the same initial state as before, and not at all where something was named
+    assert asked == ([("dynamic_2", "dynamic_1", True)] if first == "unknown" else [])
 
 
 @pytest.mark.parametrize(
@@ -114,21 +113,21 @@ def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, tmp_pa
     ],
 )
 def test_the_trial_that_alone_shows_a_gap_is_the_one_to_fit(monkeypatch, left, exchanged):
-    pair = Pair(*(SimpleNamespace(samples=2880, left=x) for x in left), bounds=None)
+    pair = Pair(*(SimpleNamespace(samples=2880, left=x) for x in left), system=None)
 
     class Given:
-        def __init__(self, evidence, effects, bounds):
+        def __init__(self, evidence, effects, system):
             self.left = evidence.left
 
         def judged(self, z):
             return self.left, 1.0
 
-    monkeypatch.setattr(stage, "JointResiduals", Given)
-    assert stage.is_shown_by_held_out_alone(pair, np.zeros(12), CONFIG["diagnosis"]) is exchanged
+    monkeypatch.setattr(trials_module, "JointResiduals", Given)
+    assert is_shown_by_held_out_alone(pair, np.zeros(12), CONFIG["diagnosis"]) is exchanged
 
 
 def test_what_is_told_of_the_gap_is_told_of_the_trial_that_shows_it():
-    pair = Pair("fitted", "other", bounds=None)
+    pair = Pair("fitted", "other", system=None)
     assert pair.shown == "other"
     assert replace(pair, exchanged=True).shown == "fitted"
 
@@ -152,15 +151,15 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     places = {(e.name, e.form): Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
     left = {("sync_offset", ""): 2883.0, ("filter_lag", ""): 2880.0, ("filter_lag", "first_order"): 2880.5}
     found = [Hypothesis((places[key],), np.zeros(13), (2880.0, chi2)) for key, chi2 in left.items()]
-    attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880))
+    attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
     refitted = []
 
     def finish(pair, hypothesis, settings):
         refitted.append(hypothesis.key)
         return hypothesis
 
-    monkeypatch.setattr("real2sim.diagnosis.stage.finished", finish)
-    decision = _decided(None, attribution, CONFIG["diagnosis"])
+    monkeypatch.setattr("real2sim.diagnosis.trials.finished", finish)
+    decision = conclude(Found(None, attribution), CONFIG["diagnosis"])
     assert decision.verdict == "filter_lag"
     assert int(np.argmax(decision.sets)) == 0
     assert refitted == ["filter_lag"]
@@ -171,28 +170,31 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     sd, bias = np.full(13, 0.05), np.zeros(13)
     bias[4] = 0.2
     monkeypatch.setattr(
-        "real2sim.diagnosis.stage.corrected", lambda pair, fit, **_: (fit.z - bias, np.diag(sd**2))
+        "real2sim.diagnosis.intervals.corrected", lambda pair, fit, **_: (fit.z - bias, np.diag(sd**2))
     )
     sd[1], sd[3] = 0.2, 0.9
-    bounds = Bounds.from_config(CONFIG["identification"]["bounds"])
-    z = (np.log(bounds.lower) + np.log(bounds.upper)) / 2
-    z[2] = np.log(bounds.upper[2])
-    fit = Hypothesis((), np.append(z, 0.0), (1000.0, 900.0))
-    pair = Pair(None, None, bounds)
-    rows = strap_verdicts(pair, fit, 1000, CONFIG)
+    system = strap_system(ROBOT, CONFIG)
+    lower, upper = system.bounds()
+    z = (lower + upper) / 2
+    z[2] = upper[2]
+    lag = next(e for e in EFFECTS if e.name == "replay_lag")
+    placed = Placed(lag, lag.places(STRAP)[0], SCALES)
+    fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
+    pair = Pair(None, None, system)
+    rows = parameter_verdicts(pair, fit, 1000, CONFIG)
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
-    assert [row["verdict"] for row in rows[:5]] == verdicts
-    assert rows[4]["bias_ln"] == pytest.approx(0.2)
+    assert [row.verdict for row in rows[:5]] == verdicts
+    assert rows[4].bias_ln == pytest.approx(0.2)
     # only a bias that stands out is taken off, and only of what is known
-    assert [row["unbiased"] for row in rows[:4]] == pytest.approx(np.exp(z[:4]))
-    assert rows[4]["unbiased"] == pytest.approx(np.exp(z[4] - 0.2))
-    assert rows[4]["ci95"][0] < np.exp(z[4] - 0.2) < rows[4]["ci95"][1]
+    assert [row.unbiased for row in rows[:4]] == pytest.approx(np.exp(z[:4]))
+    assert rows[4].unbiased == pytest.approx(np.exp(z[4] - 0.2))
+    assert rows[4].ci95[0] < np.exp(z[4] - 0.2) < rows[4].ci95[1]
     wide = np.hypot(0.05, PLANT_SD_LN)
-    assert rows[0]["ci95"] == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
-    assert rows[2]["ci95"][1] == pytest.approx(bounds.upper[2])
+    assert rows[0].ci95 == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
+    assert rows[2].ci95[1] == pytest.approx(np.exp(upper[2]))
     worse = replace(fit, chi2=(9000.0, 900.0))
-    again = strap_verdicts(pair, worse, 1000, CONFIG)
-    assert again[0]["verdict"] == "weak", "three times as wide"
+    again = parameter_verdicts(pair, worse, 1000, CONFIG)
+    assert again[0].verdict == "weak", "three times as wide"
 
 
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):

@@ -9,12 +9,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from real2sim.diagnosis.export import described, effects_of
+from real2sim.diagnosis.answer import describe_model
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import CHAIN, NATIVE, NEUTRAL, PLANNED
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.effects.planned import DrivenForce
-from real2sim.system.effect_replay import EffectReplay
+from real2sim.effects.replay import EffectReplay
+from real2sim.study.diagnosis_model import effects_of
 from real2sim.system.export import baked, to_mjcf
 
 from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
@@ -175,8 +176,8 @@ def test_a_set_of_effects_is_read_as_it_was_written():
         named("marker_drift", "left"),
     )
     z = np.concatenate([np.log(PRIOR), *(p.starts()[0] + 0.01 for p in placed)])
-    written = json.loads(json.dumps(described(Hypothesis(placed, z, (1.0, 1.0)), LOOSE)))
-    again, x = effects_of(written, Path("diagnosis.json"))
+    written = json.loads(json.dumps(describe_model(Hypothesis(placed, z, (1.0, 1.0)), LOOSE)))
+    again, x = effects_of(written, STRAP, Path("diagnosis.json"))
     assert [p.key for p in again] == [p.key for p in placed]
     for p, q, values in zip(placed, again, x, strict=True):
         assert p.effect is q.effect

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -9,13 +10,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.diagnosis import evidence, stage
+from real2sim.diagnosis import answer, trials
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Candidate, cost_of_answer
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.recording.noise import hold_uncertainty
+from real2sim.study import strap_evidence
 from real2sim.system.plant import impedances
 
 from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
@@ -53,7 +55,7 @@ def test_a_robot_at_rest_against_its_controller_stays_where_it_is(key):
 def test_where_a_settled_robot_holds_is_kept_from_one_call_to_the_next():
     """Neither what was asked before nor how many go together changes an answer."""
     pose = np.eye(3), LEVEL[1] + np.array([0.004, -0.003, 0.002])
-    placed = Placed(evidence._START, evidence._START.place(STRAP), SCALES)
+    placed = Placed(strap_evidence._START, strap_evidence._START.place(STRAP), SCALES)
     x = np.zeros((2, 6))
     x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]
     two = np.stack([PRIOR, 1.5 * PRIOR])
@@ -138,20 +140,23 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
             # draws of noise, or what is left
             return np.array([0.7, 1.1, 1.3]) if error is self.noise else np.full(1, error)
 
+        def as_settled(self):
+            return Trial(**(vars(self) | {"settled": True}))
+
     items = [Trial(samples=2880, settled=False, noise=np.zeros(3)) for _ in range(2)]
-    pair = Pair(*items, bounds=None)
+    pair = Pair(*items, system=None)
 
     def fit(self, effects, start):
         return Hypothesis((), start, (2880 + then / 2, 2880 + then / 2))
 
     class Residuals:
-        def __init__(self, evidence, effects, bounds):
+        def __init__(self, evidence, effects, system):
             self.raw = lambda z: at_rest if evidence.settled else standing
 
     monkeypatch.setattr(Search, "fit", fit)
-    monkeypatch.setattr(stage, "JointResiduals", Residuals)
+    monkeypatch.setattr(trials, "JointResiduals", Residuals)
     plain = Hypothesis((), np.zeros(12), (2880 + left / 2, 2880 + left / 2))
-    assert stage.looks_settled(pair, plain, CONFIG["diagnosis"]) is settled
+    assert trials.looks_settled(pair, plain, CONFIG["diagnosis"]) is settled
     assert not any(e.settled for e in items)
 
 
@@ -166,16 +171,19 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
     ],
 )
 def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, looks, left, holds, other):
-    def searched(settled=False, **known):
+    def search_pair(trials, *, settled=False):
         chi2 = (left if settled else 4000.0,) * 2
-        return settled, Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880))
+        found = Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880), None)
+        return trials_module.Found(SimpleNamespace(train=SimpleNamespace(settled=settled)), found)
 
-    monkeypatch.setattr(stage, "searched", searched)
-    monkeypatch.setattr(stage, "looks_settled", lambda *about: looks)
+    trials_module = trials
+    monkeypatch.setattr(trials, "search_pair", search_pair)
+    monkeypatch.setattr(trials, "looks_settled", lambda *about: looks)
     options = CONFIG["diagnosis"] | {"robot_holds": said}
-    found, rest = stage.searched_as_held(options=options, progress=lambda text: None)
-    assert found[0] is holds
-    assert (rest[0] if rest else None) is other
+    two = trials.Trials("dynamic_1", "dynamic_2", None, None, options, lambda text: None)
+    found, rest = trials.search_initial_states(two)
+    assert found.pair.train.settled is holds
+    assert (rest.pair.train.settled if rest else None) is other
 
 
 def test_of_two_searches_the_one_is_taken_whose_answer_leaves_less_for_its_price():
@@ -195,19 +203,15 @@ def test_of_two_searches_the_one_is_taken_whose_answer_leaves_less_for_its_price
     assert cost(loud, Candidate(("tilt",), 2, (8000.0, 8000.0))) == pytest.approx(16_000 + 150, abs=20)
 
 
-def test_a_cause_is_told_as_the_hold_has_it_that_its_probability_comes_from():
-    own = [
-        {"effect": "creep", "probability": 0.1, "value": 1},
-        {"effect": "tilt", "probability": 0.3, "value": 2},
-    ]
-    theirs = [
-        {"effect": "tilt", "probability": 1.0, "value": 3},
-        {"effect": "creep", "probability": 0.0, "value": 4},
-    ]
-    told = stage._of_both_holds(
+def test_a_cause_has_the_values_of_the_initial_state_that_contributes_most_of_it():
+    def cause(effect, probability, value):
+        return answer.Cause(effect, probability, [], "robot", "", [], "", {"x": {"value": value}})
+
+    own = [cause("creep", 0.1, 1), cause("tilt", 0.3, 2)]
+    theirs = [cause("tilt", 1.0, 3), cause("creep", 0.0, 4)]
+    both = answer._of_both_states(
         own, theirs, {"tilt": True, "creep": False}, {"tilt": 0.3, "creep": 0.1}, "start pose"
     )
-    assert told == [
-        {"effect": "tilt", "probability": 0.3, "value": 3, "robot_holds": "start pose"},
-        {"effect": "creep", "probability": 0.1, "value": 1},
-    ]
+    assert both == [replace(cause("tilt", 0.3, 3), robot_holds="start pose"), own[0]]
+    assert both[0].to_dict()["robot_holds"] == "start pose"
+    assert "robot_holds" not in both[1].to_dict()

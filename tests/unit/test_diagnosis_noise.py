@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.diagnosis import evidence
-from real2sim.diagnosis.evidence import _from_standing
 from real2sim.geometry import AXES
 from real2sim.recording.noise import BANDS_HZ, drawn_together, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.pelvis import lowpass_from_standing
 from real2sim.signals import lowpass
+from real2sim.study.strap_evidence import Elsewheres, StrapEvidence
 from real2sim.system.plant import ROBOT_JOINTS
 from scipy.signal import butter, lfilter, sosfiltfilt
 
@@ -51,10 +52,12 @@ def test_a_filtered_path_starts_where_the_person_stood_and_not_at_a_noisy_sample
     time = np.arange(600) / 100
     true = 0.05 * np.sin(np.pi * np.maximum(time - 1, 0))[:, None] * np.ones(200)
     noise = 3.4e-3 * rng.standard_normal(true.shape)
-    start = _from_standing(true + noise, 100, 4.0, 50)[0]
+    start = lowpass_from_standing(true + noise, 100, 4.0, 50)[0]
     usual = lowpass(true + noise, 100, 4.0, 4)[0]
     assert start.std() < 1.2e-3 < 2e-3 < usual.std()
-    np.testing.assert_allclose(_from_standing(true, 100, 6.0, 50), lowpass(true, 100, 6.0, 4), atol=5e-4)
+    np.testing.assert_allclose(
+        lowpass_from_standing(true, 100, 6.0, 50), lowpass(true, 100, 6.0, 4), atol=5e-4
+    )
 
 
 def test_what_is_left_while_standing_is_told_in_units_of_noise():
@@ -65,7 +68,7 @@ def test_what_is_left_while_standing_is_told_in_units_of_noise():
     error = np.stack(
         [noise[0], 3 * sd + 0 * noise[0], np.where(np.arange(100)[:, None] < 40, 0, 1.0) + 0 * sd]
     )
-    got = evidence.Evidence.standing(seen, error)
+    got = StrapEvidence.standing(seen, error)
     assert got[0] == pytest.approx(1, abs=0.5)
     assert got[1] == pytest.approx(9, rel=0.1)
     assert got[2] == 0
@@ -99,18 +102,11 @@ def test_wheels_that_turn_may_be_read_worse_than_wheels_that_stand(tmp_path):
     np.testing.assert_allclose(robot_noise(still, shaken, 100), sd, rtol=0.25)
 
 
-class _Logged(evidence.Evidence):
+@dataclass(frozen=True)
+class _Logged(StrapEvidence):
     """Evidence of 12 s with white noise of 1 mm and mrad in all channels, of which nothing is simulated."""
 
-    def __init__(self, log: np.ndarray, offset_sd_s: float = 0.0, rests: np.ndarray | None = None):
-        n = len(log)
-        self.robot, self.log_offset_sd_s = log, offset_sd_s
-        self.trial = SimpleNamespace(
-            time_s=np.arange(n) / 100, interface=np.zeros((n, 2, 3)), usable=np.ones(n, bool)
-        )
-        self.context = SimpleNamespace(start=50)
-        self.robot_sd, self.let_go = np.full(6, 1e-3), np.zeros((6, 6))
-        self.given = np.zeros((0, n, 12)) if rests is None else rests
+    given: np.ndarray | None = None
 
     def replay(self, effects, nsim, *, coarse=False):
         return None
@@ -127,10 +123,20 @@ class _Logged(evidence.Evidence):
 
     def _elsewhere(self, parameters):
         none = np.zeros((0, len(self.robot), 12))
-        return self.given, np.zeros((6, len(self.robot), 12)), none
+        return Elsewheres(self.given, np.zeros((6, len(self.robot), 12)), none)
 
     def _apart(self, replay, parameters, draws, markers, logged, x=()):
         return -np.concatenate([markers.reshape(draws, -1, 6), logged], axis=2)
+
+
+def _logged(log: np.ndarray, offset_sd_s: float = 0.0, rests: np.ndarray | None = None) -> StrapEvidence:
+    """Such evidence with a log (n, 6), once its noise is simulated; ``rests`` (k, n, 12) as of `Elsewheres`."""
+    n = len(log)
+    trial = SimpleNamespace(time_s=np.arange(n) / 100, interface=np.zeros((n, 2, 3)), usable=np.ones(n, bool))
+    recorded = SimpleNamespace(trial=trial, robot=log, context=SimpleNamespace(start=50))
+    levels = SimpleNamespace(robot_sd=np.full(6, 1e-3), let_go=np.zeros((6, 6)), log_offset_sd_s=offset_sd_s)
+    given = np.zeros((0, n, 12)) if rests is None else rests
+    return _Logged(recorded, levels, None, None, given=given).with_noise(np.ones(12), 31, 1)
 
 
 def _sway(n: int = 1200) -> np.ndarray:
@@ -149,8 +155,7 @@ def _sway(n: int = 1200) -> np.ndarray:
 def test_what_nobody_knows_of_a_log_is_no_gap(late_s, scale, sure_s, left):
     """A log 5 ms late and wheels half a percent too large made a stranger's null `unknown`: 4716, 4184 of 2880."""
     truth = _sway()
-    seen = _Logged(truth, sure_s)
-    seen.set_noise(np.ones(12), 31, 1)
+    seen = _logged(truth, sure_s)
     rng = np.random.default_rng(5)
     noise = 1e-3 * rng.standard_normal((20, len(truth), 12))
     assert (seen.whiten(noise) ** 2).sum(axis=1).mean() == pytest.approx(seen.samples, rel=0.05)
@@ -164,9 +169,7 @@ def test_a_constant_that_nobody_knows_costs_what_one_number_does():
     """Noise that comes and goes as a rest pose would is taken for what it is; only the pose itself is let off."""
     rests = np.zeros((1, 1200, 12))
     rests[0, :, 0] = 0.02
-    seen, sure = _Logged(_sway(), rests=rests), _Logged(_sway())
-    for item in (seen, sure):
-        item.set_noise(np.ones(12), 31, 1)
+    seen, sure = _logged(_sway(), rests=rests), _logged(_sway())
     slow = np.zeros((2, 1200, 12))
     slow[0, :, 0] = 0.02
     slow[1, :, 0] = 0.02 * np.cos(np.pi * np.arange(0.5, 1200) / 1200)

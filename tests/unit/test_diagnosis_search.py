@@ -28,9 +28,8 @@ from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, _fresh_starts, _parabola, _together
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.least_squares import STEP, Tangent
-from real2sim.inference.parameters import Bounds
 
-from tests.unit.simulated_effects import SCALES, STRAP, placed_whole
+from tests.unit.simulated_effects import SCALES, STRAP, about, placed_whole
 from tests.unit.test_coupling import CONFIG, PRIOR
 
 
@@ -95,8 +94,9 @@ def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_to
     effect = next(e for e in EFFECTS if e.name == "coulomb")
     placed = Placed(effect, effect.places(STRAP)[1], SCALES)
     base = np.arange(14.0)
-    z = _fresh_starts(placed, base, np.full(6, 100.0), np.full(6, 200.0))
-    assert {(row[1], row[7]) for row in z} == {(1.0, 7.0), (1.0, 200.0), (100.0, 200.0)}
+    middle = np.mean(STRAP.bounds(), axis=0)
+    z = _fresh_starts(placed, base, STRAP)
+    assert {(row[1], row[7]) for row in z} == {(1.0, 7.0), (1.0, middle[7]), (middle[1], middle[7])}
     elsewhere = [i for i in range(14) if i not in (1, 7)]
     assert (z[:, elsewhere] == base[elsewhere]).all()
     _, upper = placed.bounds()
@@ -136,7 +136,7 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
             assert [p.key for p in effects] == [friction.key]
             return np.linspace(5000.0, 7000.0, draws)
 
-    search = Search(Pair(Trial(), Trial(), Bounds(PRIOR / 3, PRIOR * 3)), CONFIG["diagnosis"]["search"])
+    search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
     assert abs(search.excess(found)) < 0.1
     assert search.is_noise(found)

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from real2sim.diagnosis.stage import _stages
+from real2sim.diagnosis.answer import _stages
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.effects.friction import SmoothFriction
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame

@@ -31,7 +31,14 @@ def test_ci_runs_the_readmes_test_command():
 
 @pytest.mark.parametrize(
     "page",
-    ["README.md", "config/README.md", "docs/assumptions.md", "docs/decisions.md", "docs/troubleshooting.md"],
+    [
+        "README.md",
+        "config/README.md",
+        "docs/assumptions.md",
+        "docs/decisions.md",
+        "docs/library.md",
+        "docs/troubleshooting.md",
+    ],
 )
 def test_links_of_a_page_lead_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
@@ -51,7 +58,9 @@ def _keys(schema: dict, place: str = "") -> dict[str, str]:
 
 def test_every_assumption_is_explained_by_a_key_that_exists():
     keys = _keys(
-        yaml.safe_load((ROOT / "workflow" / "schemas" / "config.schema.yaml").read_text(encoding="utf-8"))
+        yaml.safe_load(
+            (ROOT / "workflow" / "real2sim" / "schemas" / "config.schema.yaml").read_text(encoding="utf-8")
+        )
     )
     page = (ROOT / "docs" / "assumptions.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z]+(?:\.[a-zA-Z_0-9]+)+)`", page)) - {"config.yaml"}

@@ -35,10 +35,10 @@ from real2sim.effects.catalogue import (
     check,
     collect,
 )
+from real2sim.effects.replay import by_axis
 from real2sim.errors import InputError
 from real2sim.system.batches import untimed_batch
 from real2sim.system.description import System, shipped_system
-from real2sim.system.effect_replay import by_axis
 from real2sim.verification.suite.plan import EFFECTS as SUITE_EFFECTS
 
 ROOT = Path(__file__).parents[2]
@@ -170,15 +170,14 @@ from real2sim.diagnosis.attribute import candidates
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import EFFECT_NAMES, are_confusable
-from real2sim.inference.parameters import Bounds
-from tests.unit.simulated_effects import SCALES, replay
+from tests.unit.simulated_effects import SCALES, STRAP, about, replay
 from tests.unit.test_coupling import CONFIG, PRIOR
 from tests.unit.test_effects import Recorded
 
-places = candidates(SCALES, names=["cubic_damping"])
+places = candidates(STRAP, SCALES, ["cubic_damping"])
 plain = replay([]).run_effects(PRIOR[None], [])[0]
 rest = [replay([p]).run_effects(PRIOR[None], [p.at_rest()[None]])[0] for p in places]
-pair = Pair(Recorded(0.05, held_out=False), Recorded(0.05, held_out=True), Bounds(PRIOR / 3, PRIOR * 3))
+pair = Pair(Recorded(0.05, held_out=False), Recorded(0.05, held_out=True), about(PRIOR))
 search = Search(pair, CONFIG["diagnosis"]["search"])
 screened = search.screen(Hypothesis((), np.log(PRIOR), (1.0, 1.0)), places)
 print(json.dumps({

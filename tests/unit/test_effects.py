@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from real2sim.diagnosis import evidence
 from real2sim.diagnosis.refit import JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects import chains, lab, timing, tissue
@@ -18,8 +17,8 @@ from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reacti
 from real2sim.effects.memory import bouc_wen, eyring, maxwell
 from real2sim.effects.planned import PlannedForce
 from real2sim.geometry import AXES, interface_frame
-from real2sim.inference.parameters import Bounds
 from real2sim.signals import lowpass
+from real2sim.study import strap_evidence
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.system.replay import servo_command
 from scipy.signal import lfilter
@@ -30,6 +29,7 @@ from tests.unit.simulated_effects import (
     LEVEL,
     SCALES,
     STRAP,
+    about,
     at_rest_on,
     pelvis_at_start,
     placed_whole,
@@ -203,7 +203,7 @@ class Recorded:
 
 def test_an_offset_of_each_trial_is_fitted_to_its_own_trial():
     """Two camera groups that are started by hand: the held-out trial says its offset itself, and nothing else."""
-    pair = Pair(Recorded(0.05, held_out=False), Recorded(-0.03, held_out=True), Bounds(PRIOR / 3, PRIOR * 3))
+    pair = Pair(Recorded(0.05, held_out=False), Recorded(-0.03, held_out=True), about(PRIOR))
     search = Search(pair, CONFIG["diagnosis"]["search"])
     own = placed_whole("sync_offset", "each_trial")
     found = search.fit((own,), np.concatenate([np.log(PRIOR), own.starts()[0]]))
@@ -213,7 +213,7 @@ def test_an_offset_of_each_trial_is_fitted_to_its_own_trial():
     common = search.fit((both,), np.concatenate([np.log(PRIOR), both.starts()[0]]))
     assert common.chi2[1] > 100 * found.chi2[1]
     of_train, of_other = (
-        JointResiduals(trial, (both, own), pair.bounds).free for trial in (pair.train, pair.held_out)
+        JointResiduals(trial, (both, own), pair.system).free for trial in (pair.train, pair.held_out)
     )
     assert list(of_train) == list(range(14))
     assert list(of_other) == [14]
@@ -291,7 +291,7 @@ def test_a_start_out_of_reach_leaves_the_other_simulations_alone(monkeypatch):
             raise ValueError("too far")
         return robot_pose_for(*pose)
 
-    monkeypatch.setattr("real2sim.system.effect_replay.robot_pose_for", reach)
+    monkeypatch.setattr("real2sim.effects.replay.robot_pose_for", reach)
     paths, joints = model.run_effects(np.tile(PRIOR, (3, 1)), x)
     assert np.isnan(paths[1]).all()
     np.testing.assert_array_equal(paths[[0, 2]], whole[[0, 2]])
@@ -720,7 +720,7 @@ def test_what_a_flowing_branch_plans_is_what_it_differs_from_its_linear_one():
 
 
 def test_a_robot_that_starts_elsewhere_is_a_start_pose_that_was_misjudged(plain):
-    placed = Placed(evidence._START, evidence._START.place(STRAP), SCALES)
+    placed = Placed(strap_evidence._START, strap_evidence._START.place(STRAP), SCALES)
     moved = replay([placed], nsim=2)
     x = np.zeros((2, 6))
     x[1] = [2e-3, -1e-3, 3e-3, 0.0, 0.0, 0.004]

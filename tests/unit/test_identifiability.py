@@ -11,7 +11,7 @@ from real2sim.inference.identifiability import (
     NOT_DETERMINED,
     WEAK,
     NoiseTerms,
-    _verdict,
+    _judge,
     assess,
     long_run_covariance,
     profile_end,
@@ -288,7 +288,7 @@ def test_parameter_that_is_flat_up_to_its_bound_is_not_determined():
 def test_far_reach_from_the_bound_is_not_determined_and_a_short_one_is_at_bound():
     def told(reach):
         ends = [None, np.log(reach)]
-        return _verdict("k_tz", 0.0, ends, 0.3, 0.0, True, SETTINGS)["verdict"]
+        return _judge("k_tz", 0.0, ends, 0.3, 0.0, True, SETTINGS)["verdict"]
 
     assert told(1.5) == AT_BOUND
     assert told(5.0) == NOT_DETERMINED

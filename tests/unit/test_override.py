@@ -9,7 +9,6 @@ import pytest
 from real2sim.artefacts import read_json, read_table
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
-from real2sim.inference.noise_floor import noise_floor
 from real2sim.pages.fits import convergence_figure
 from real2sim.pages.style import new_figure
 from real2sim.pages.tables import cross_trial_table, priors_table
@@ -19,6 +18,7 @@ from real2sim.recording.quality.verdict import overridden_gates, overridden_tria
 from real2sim.study.assessment import assessment, assessment_table
 from real2sim.study.fit import fit_trial
 from real2sim.study.limits import joint_limits
+from real2sim.study.noise_floor import noise_floor
 from real2sim.study.statistics.loso import loso_table
 from real2sim.study.statistics.shareability import priors, shareability
 from real2sim.study.transfer import cross_trial, loso_subject

@@ -172,7 +172,7 @@ def test_pelvis_velocities_are_derivatives_of_its_pose(settings):
 
 
 def test_settings_fit_their_schema_and_every_key_is_described(settings):
-    schema = yaml.safe_load((ROOT / "workflow/schemas/phantom.schema.yaml").read_text())
+    schema = yaml.safe_load((ROOT / "workflow/real2sim/schemas/phantom.schema.yaml").read_text())
     jsonschema.validate(settings, schema)
 
     def walk(node):

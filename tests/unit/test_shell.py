@@ -56,7 +56,7 @@ def test_every_key_of_the_schemas_is_described():
                 assert sub.get("additionalProperties") is not None, f"{place}.{key} takes anything"
             walk(sub, f"{place}.{key}")
 
-    for path in sorted((ROOT / "workflow" / "schemas").glob("*.yaml")):
+    for path in sorted((ROOT / "workflow" / "real2sim" / "schemas").glob("*.yaml")):
         walk(read_yaml(path), path.name)
 
 

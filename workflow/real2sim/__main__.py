@@ -14,7 +14,7 @@ import sys
 import traceback
 import types
 from collections.abc import Callable, Sequence
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 COMMANDS = {
     "phantom": "real2sim.verification.phantom.cohort:write_subject",
@@ -31,7 +31,7 @@ COMMANDS = {
     "fit": "real2sim.study.fit:fit_trial",
     "assessment": "real2sim.study.assessment:assessment",
     "assessment-table": "real2sim.study.assessment:assessment_table",
-    "noise-floor": "real2sim.inference.noise_floor:noise_floor",
+    "noise-floor": "real2sim.study.noise_floor:noise_floor",
     "cross-trial": "real2sim.study.transfer:cross_trial",
     "loso": "real2sim.study.transfer:loso_subject",
     "loso-table": "real2sim.study.statistics.loso:loso_table",
@@ -43,8 +43,8 @@ COMMANDS = {
     "classes": "real2sim.study.statistics.classes:classes",
     "anthropometrics": "real2sim.study.statistics.anthropometrics:anthropometrics",
     "coverage-study": "real2sim.study.statistics.study:coverage_study",
-    "diagnose": "real2sim.diagnosis.stage:diagnose",
-    "diagnosis-model": "real2sim.diagnosis.export:export_model",
+    "diagnose": "real2sim.study.diagnose:diagnose",
+    "diagnosis-model": "real2sim.study.diagnosis_model:export_model",
     "motion": "real2sim.pages.motion.export:export_motion",
     "motion-clip": "real2sim.pages.motion_clip:motion_clip",
     "suite-diagnose": "real2sim.verification.answers:diagnose_cases",
@@ -83,7 +83,8 @@ def module_of(command: str) -> str:
 
 def _load(command: str) -> Callable[..., None]:
     module, name = COMMANDS[command].split(":")
-    return getattr(importlib.import_module(module), name)
+    function: Callable[..., None] = getattr(importlib.import_module(module), name)
+    return function
 
 
 def _json(text: str) -> Any:
@@ -156,5 +157,10 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-if __name__ == "__main__":
+def entry() -> NoReturn:
+    """Run the console script ``real2sim`` and end the process with the stage's exit code."""
     sys.exit(main(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    entry()

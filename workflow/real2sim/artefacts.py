@@ -22,7 +22,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def read_json(path: Path, required: Iterable[str] = ()) -> dict[str, Any]:
     """Read a JSON object; raises InputError where it is broken or a required key is missing."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
             path, "", str(error), "a readable JSON file", "Delete the file and run again."

@@ -13,7 +13,7 @@ import yaml
 
 from real2sim.errors import InputError
 
-SCHEMAS = Path(__file__).parents[1] / "schemas"
+SCHEMAS = Path(__file__).parent / "schemas"
 
 
 def read_yaml(path: Path) -> Any:
@@ -38,7 +38,7 @@ def _validator(schema_name: str) -> jsonschema.Draft202012Validator:
     return jsonschema.Draft202012Validator(read_yaml(SCHEMAS / f"{schema_name}.schema.yaml"))
 
 
-def _with_defaults(schema: dict, value: Any) -> Any:
+def _with_defaults(schema: dict[str, Any], value: Any) -> Any:
     """Copy ``value`` with the schema's defaults filled in, at every depth."""
     if schema.get("type") == "object" and isinstance(value, dict):
         properties = schema.get("properties", {})
@@ -58,13 +58,13 @@ def _with_defaults(schema: dict, value: Any) -> Any:
     return value
 
 
-def _keys(schema: dict) -> Iterator[str]:
+def _keys(schema: dict[str, Any]) -> Iterator[str]:
     for key, sub in schema.get("properties", {}).items():
         yield key
         yield from _keys(sub)
 
 
-def _explain(error: jsonschema.ValidationError, schema: dict, source: Path) -> InputError:
+def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: Path) -> InputError:
     place = ".".join(str(part) for part in error.absolute_path) or "top level"
     # A schema may also be a bare true or false, and jsonschema's types say so; ours are all mappings.
     failed = cast("dict[str, Any]", error.schema)
@@ -89,8 +89,8 @@ def _explain(error: jsonschema.ValidationError, schema: dict, source: Path) -> I
     )
 
 
-def validated(content: Any, schema_name: str, source: Path) -> dict:
-    """Fill in defaults and check against ``workflow/schemas/<schema_name>.schema.yaml``.
+def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
+    """Fill in defaults and check against ``schemas/<schema_name>.schema.yaml``.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def validated(content: Any, schema_name: str, source: Path) -> dict:
     """
     validator = _validator(schema_name)
     schema = cast("dict[str, Any]", validator.schema)
-    filled = _with_defaults(schema, {} if content is None else content)
+    filled: dict[str, Any] = _with_defaults(schema, {} if content is None else content)
     errors = sorted(validator.iter_errors(filled), key=lambda e: len(e.absolute_path))
     if errors:
         raise _explain(errors[0], schema, source)

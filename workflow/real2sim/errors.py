@@ -31,5 +31,5 @@ class InputError(Exception):
         last = f"\n  code:     {code} (docs/quality-codes.md)" if code else ""
         super().__init__(f"{where}\n  found:    {found}\n  expected: {expected}\n  remedy:   {remedy}{last}")
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type[InputError], tuple[Path, str, str, str, str, str]]:
         return (InputError, (self.path, self.place, self.found, self.expected, self.remedy, self.code))

@@ -13,7 +13,7 @@ INTERFACE_MARKERS = ("IF_L", "IF_R")
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
 def pelvis_frame(
@@ -80,7 +80,7 @@ def mean_rotation(rotations: np.ndarray) -> np.ndarray:
     """Chordal mean of rotations (n, 3, 3), rows with NaN left out."""
     good = np.isfinite(rotations).all(axis=(1, 2))
     u, _, vt = np.linalg.svd(rotations[good].mean(axis=0))
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
 def interface_coordinates(
@@ -89,10 +89,10 @@ def interface_coordinates(
     rest_rotation: np.ndarray,
     rest_position: np.ndarray,
 ) -> np.ndarray:
-    """Interface coordinates q = (tx, ty, tz, rx, ry, rz), (..., 6) [m, rad].
+    """Return the interface coordinates q = (tx, ty, tz, rx, ry, rz), (..., 6) [m, rad].
 
-    t = R_P^T (p_I - p_P) - p0 and R_P^T R_I R0^T = R_x R_y R_z, with (R0, p0) the pose of I in P at rest
-    (contract, section 2): the pose of three slides along the pelvis axes followed by hinges x, y, z.
+    t = R_P^T (p_I - p_P) - p0 and R_P^T R_I R0^T = R_x R_y R_z, with (R0, p0) the pose of I in P at rest: the
+    coordinates of three slides along the pelvis axes followed by hinges x, y, z.
     """
     angles = angles_xyz(relative_rotation @ rest_rotation.T)
     return np.concatenate([relative_position - rest_position, angles], axis=-1)

@@ -8,8 +8,18 @@ import platform
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import TypedDict
 
 LIBRARY = Path(__file__).parent
+
+
+class Provenance(TypedDict):
+    """What a result rests on: SHA-256 by input path, versions by package, fingerprint of the code."""
+
+    inputs_sha256: dict[str, str]
+    python: str
+    packages: dict[str, str]
+    code_fingerprint: str
 
 
 def sha256(path: Path) -> str:
@@ -65,7 +75,7 @@ def fingerprint(module: str) -> str:
     return hashlib.sha256(joined.encode()).hexdigest()[:16]
 
 
-def provenance(inputs: list[Path], packages: list[str], code: str) -> dict:
+def provenance(inputs: list[Path], packages: list[str], code: str) -> Provenance:
     """Record of what a result rests on. No time and no host: the same work gives the same file.
 
     Parameters

@@ -21,7 +21,8 @@ def segments(good: np.ndarray) -> list[slice]:
 
 def known(values: np.ndarray) -> np.ndarray:
     """Samples (n,) at which every column is finite."""
-    return np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    finite = np.isfinite(values)
+    return finite if values.ndim == 1 else np.asarray(finite.all(axis=1))
 
 
 def fill_gaps(values: np.ndarray, rate_hz: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:

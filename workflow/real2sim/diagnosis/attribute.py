@@ -6,20 +6,19 @@ What takes part is refitted on one trial and judged on the other (`search`); wha
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import BATCH, Hypothesis
+from real2sim.diagnosis.refit import Hypothesis, PlainResiduals
 from real2sim.diagnosis.search import KEEP, Pair, Screened, Search, conflict
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS, are_confusable
 from real2sim.inference import least_squares
-from real2sim.inference.parameters import Bounds
-from real2sim.system.description import System, shipped_system
+from real2sim.system.description import System
 
 T = TypeVar("T")
 
@@ -41,22 +40,21 @@ DELAY = "sync_offset"
 class Attribution:
     """What the search found: the plain fit, every refitted hypothesis, best first, and the whole screening.
 
-    ``samples`` are the numbers of whitened residuals of the two trials.
+    ``samples`` are the numbers of whitened residuals of the two trials; ``pair`` holds them with what the search
+    learnt of them (jumping markers).
     """
 
     plain: Hypothesis
     hypotheses: list[Hypothesis]
     screened: list[tuple[str, float]]
     samples: tuple[int, int]
+    pair: Pair
     evaluations: int = 0
-    stages: dict[str, float] = field(default_factory=dict)
 
 
-def candidates(
-    scales: Scales, names: Iterable[str] | None = None, system: System | None = None
-) -> list[Placed]:
-    """Return every effect of the catalogue (or those named) at every place of a system, by default of the strap's."""
-    wanted, system = None if names is None else set(names), system or shipped_system("strap")
+def candidates(system: System, scales: Scales, names: Iterable[str] | None = None) -> list[Placed]:
+    """Return every effect of the catalogue (or those named) at every place of a system."""
+    wanted = None if names is None else set(names)
     return [
         Placed(effect, where, scales)
         for effect in EFFECTS
@@ -65,21 +63,17 @@ def candidates(
     ]
 
 
-def plain_fit(evidence: Evidence, bounds: Bounds, start: np.ndarray, settings: dict) -> np.ndarray:
-    """ln-parameters (12,) of the plain plant by J of the paper: from ``start`` and from log-uniform points."""
-    replay = evidence.replay([], BATCH)
-
-    def residuals(parameters: np.ndarray) -> np.ndarray:
-        return evidence.cost.residuals(replay.run_effects(parameters, [])[0])
-
-    problem = least_squares.Residuals(residuals, bounds, BATCH)
+def plain_fit(evidence: Evidence, system: System, start: np.ndarray, settings: dict[str, Any]) -> np.ndarray:
+    """Return searched parameters (n,) of the plain plant by the plain cost, from ``start`` and from drawn points."""
+    problem = PlainResiduals(evidence, system)
     rng = np.random.default_rng(settings["seed"])
-    points = np.array([start, *(bounds.log_uniform(rng) for _ in range(settings["screen"]))])
+    drawn = (rng.uniform(problem.lower, problem.upper) for _ in range(settings["screen"]))
+    points = np.array([start, *drawn])
     costs = problem.costs(points)
     best, lowest = points[0], np.inf
     for point in points[np.argsort(costs)[:2]]:
         z, cost, _, _ = least_squares.minimise(
-            problem, point, np.arange(12), iterations=settings["iterations"], ftol=1e-4, keep=KEEP
+            problem, point, np.arange(len(start)), iterations=settings["iterations"], ftol=1e-4, keep=KEEP
         )
         if cost < lowest:
             best, lowest = z, cost
@@ -128,7 +122,7 @@ def attribute(
     plain = search.fit((), start, final=True)
     count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
-    everything = candidates(pair.train.scales) if places is None else list(places)
+    everything = candidates(pair.system, pair.train.scales) if places is None else list(places)
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
@@ -157,7 +151,7 @@ def attribute(
             hypotheses += _swapped_together(search, hypotheses, everything)
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
-    return Attribution(plain, hypotheses, listed, count, search.evaluations)
+    return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
 
 
 def _converged(search: Search, plain: Hypothesis, best: Hypothesis, settings: dict) -> Hypothesis:
@@ -236,7 +230,7 @@ def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
     if not search.is_noise(best):
         return found
     return [
-        search.afresh(h.effects, best.z[:12], h)
+        search.afresh(h.effects, best.base, h)
         if h is not best and _rivals(best.effects[0], h.effects[0])
         else h
         for h in found
@@ -276,7 +270,7 @@ def _other_laws(
         return found
     known = {_keys(h.effects) for h in found}
     rivals = [p for p in places if _rivals(best.effects[0], p) and _same_place(best.effects[0], p)]
-    starts = [((p,), *search.fresh((p,), best.z[:12])) for p in rivals if _keys((p,)) not in known]
+    starts = [((p,), *search.fresh((p,), best.base)) for p in rivals if _keys((p,)) not in known]
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
     tried = [search.fit(effects, z) for effects, z, _ in starts]
     return sorted([*found, *tried], key=lambda h: sum(h.chi2))
@@ -299,7 +293,7 @@ def _redrawn(
     ]
     out = list(found)
     for law in laws:
-        starts, _ = search.drawn((law,), best.z[:12], _named(best, 0), settings["redraws"])
+        starts, _ = search.drawn((law,), best.base, _named(best, 0), settings["redraws"])
         out += [search.fit((law,), z) for z in starts[: settings["redraw_refits"]]]
     return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
 
@@ -443,7 +437,7 @@ def _swapped(
         near = _named(best, next(i for i, placed in enumerate(best.effects) if placed is member))
         others = tuple(best.effects[i] for i in kept)
         parts = best.split()
-        base = np.concatenate([best.z[:12], *(parts[i] for i in kept)])
+        base = np.concatenate([best.base, *(parts[i] for i in kept)])
         rivals = [(*others, rival) for rival in _without(places, best) if _rivals(member, rival)]
         rivals = [effects for effects in rivals if not conflict(effects)]
         starts = [search.fresh(effects, base) for effects in rivals]
@@ -488,13 +482,14 @@ def _one_by_one(
     search: Search, best: Hypothesis, rivals: Sequence[Placed]
 ) -> tuple[tuple[Placed, ...], np.ndarray, float]:
     """The members of a set replaced by rivals, the others in place meanwhile: effects, start and its cost."""
-    effects, parts, strap, cost = list(best.effects), best.split(), best.z[:12], np.inf
+    effects, parts, base, cost = list(best.effects), best.split(), best.base, np.inf
     for rival in rivals:
         effects, parts = [*effects[1:], rival], parts[1:]
-        z, cost = search.fresh(tuple(effects), np.concatenate([strap, *parts]))
-        strap = z[:12]
-        parts = [*parts, z[12 + sum(map(len, parts)) :]]
-    return tuple(effects), np.concatenate([strap, *parts]), cost
+        z, cost = search.fresh(tuple(effects), np.concatenate([base, *parts]))
+        n = len(base)
+        base = z[:n]
+        parts = [*parts, z[n + sum(map(len, parts)) :]]
+    return tuple(effects), np.concatenate([base, *parts]), cost
 
 
 def _same_place(one: Placed, other: Placed) -> bool:
@@ -525,7 +520,7 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         for left_out in range(len(best.effects)):
             keep = [i for i in range(len(best.effects)) if i != left_out]
             effects = tuple(best.effects[i] for i in keep)
-            smaller.append(search.fit(effects, np.concatenate([best.z[:12], *(parts[i] for i in keep)])))
+            smaller.append(search.fit(effects, np.concatenate([best.base, *(parts[i] for i in keep)])))
         out += smaller
         best = min(smaller, key=lambda h: sum(h.chi2))
     return out

@@ -6,6 +6,10 @@ a tenth. The cost that noise adds on average is simulated and taken off, and so 
 parameter: the corrected score of Stefanski (Commun. Stat. Theory 14, 1985) and Nakamura (Biometrika 77, 1990), with
 simulated draws for its expectation. The corrected point scatters with the draws; it says how far a fit can be
 trusted, and is no fit itself.
+
+`inference.identifiability.corrected_fit` does the same for a fit of J by itself. Two implementations stand because
+their information differs: residuals of J are correlated in time, so its covariance needs the long-run scores of each
+sample, while residuals here are whitened and carry the parameters of effects and prior rows beside the twelve.
 """
 
 from __future__ import annotations
@@ -54,12 +58,12 @@ def corrected(
     The strap's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
     simulation does not bear a step, it stops there.
     """
-    problem = JointResiduals(pair.train, hypothesis.effects, pair.bounds)
+    problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     everything = np.arange(len(hypothesis.z))
     shaken = pair.train.shaken(draws, seed)
 
     def noise(point: np.ndarray) -> np.ndarray:
-        return pair.train.whiten(shaken(np.exp(point)))
+        return pair.train.whiten(shaken(pair.system.values(point)))
 
     z = hypothesis.z.copy()
     seen, there = np.full(12, np.inf), (np.empty(0), np.empty((0, 0)))

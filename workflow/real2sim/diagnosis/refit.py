@@ -1,4 +1,4 @@
-"""Joint refits: the 12 strap parameters together with the free parameters of added effects."""
+"""Joint refits: the system's parameters together with the free parameters of added effects."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.effects.catalogue import Placed
 from real2sim.inference import least_squares
-from real2sim.inference.parameters import Bounds
 from real2sim.recording.skin import Skin
+from real2sim.system.description import System
 
 BATCH = 16
 # A coordinate whose bounds are no further apart than this is held
@@ -21,7 +21,7 @@ NO_RANGE = 1e-4
 
 @dataclass
 class Hypothesis:
-    """Effects with fitted values: ``z`` (12 + p,) ln-parameters and searched numbers, chi-squared of both trials.
+    """Effects with fitted values: searched numbers ``z`` (n + p,) of n parameters and of the effects, and chi-squared.
 
     ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays;
     ``converged``: it was refitted to the end.
@@ -35,6 +35,16 @@ class Hypothesis:
     converged: bool = False
 
     @property
+    def own(self) -> int:
+        """Number p of searched numbers that belong to the effects."""
+        return sum(len(placed.effect.parameters) for placed in self.effects)
+
+    @property
+    def base(self) -> np.ndarray:
+        """Searched numbers (n,) of the system's parameters."""
+        return self.z[: len(self.z) - self.own]
+
+    @property
     def key(self) -> str:
         """Effects and places; empty for the plain plant."""
         return " + ".join(placed.key for placed in self.effects)
@@ -46,7 +56,7 @@ class Hypothesis:
 
     def split(self) -> list[np.ndarray]:
         """Searched numbers (p,) of each effect."""
-        return split(self.effects, self.z[None, 12:], squeeze=True)
+        return split(self.effects, self.z[None, len(self.z) - self.own :], squeeze=True)
 
 
 def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> list[np.ndarray]:
@@ -56,44 +66,65 @@ def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> li
     return [part[0] for part in parts] if squeeze else parts
 
 
+class PlainResiduals(least_squares.Residuals):
+    """Residuals of the plain cost of a trial in the system's searched parameters."""
+
+    def __init__(self, evidence: Evidence, system: System):
+        self._cost, self._system = evidence.cost, system
+        self._replay = evidence.replay([], BATCH)
+        self.lower, self.upper = system.bounds()
+        self.evaluations = 0
+
+    def many(self, z: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) of points (m, n)."""
+        self.evaluations += len(z)
+        return np.concatenate([self._some(z[i : i + BATCH]) for i in range(0, len(z), BATCH)])
+
+    def _some(self, z: np.ndarray) -> np.ndarray:
+        return self._cost.residuals(self._replay.run_effects(self._system.values(z), [])[0])
+
+
 class JointResiduals(least_squares.Residuals):
-    """Whitened residuals of a trial in ln-parameters and searched numbers, with prior rows for those that have one.
+    """Whitened residuals of a trial in searched parameters and numbers of the effects, and rows of their priors.
 
     ``coarse``: see `Evidence.replay`. ``free`` are the coordinates that are fitted on this trial: not those whose
     bounds coincide, and of the held-out one those alone that say nothing of the other.
     """
 
     def __init__(
-        self, evidence: Evidence, effects: Sequence[Placed], bounds: Bounds, *, coarse: bool = False
+        self, evidence: Evidence, effects: Sequence[Placed], system: System, *, coarse: bool = False
     ):
-        self.effects, self._evidence = tuple(effects), evidence
+        self.effects, self._evidence, self._system = tuple(effects), evidence, system
         self._replay = evidence.replay(list(effects), BATCH, coarse=coarse)
-        lower, upper = [np.log(bounds.lower)], [np.log(bounds.upper)]
-        for placed in effects:
-            low, high = placed.bounds()
-            lower.append(low)
-            upper.append(high)
-        self.lower, self.upper = np.concatenate(lower), np.concatenate(upper)
-        middle, spread = _strap_prior(bounds)
-        self.prior_mean = np.concatenate([middle, np.zeros(len(self.lower) - 12)])
+        own_lower, own_upper = system.bounds()
+        self._n = n = len(own_lower)
+        pairs = [placed.bounds() for placed in effects]
+        self.lower = np.concatenate([own_lower, *(low for low, _ in pairs)])
+        self.upper = np.concatenate([own_upper, *(high for _, high in pairs)])
+        middle, spread = _base_prior(own_lower, own_upper)
+        self.prior_mean = np.concatenate([middle, np.zeros(len(self.lower) - n)])
         self.prior_sd = np.concatenate([spread, *(placed.prior_sd() for placed in effects)])
-        fitted = np.concatenate([np.ones(12, bool), *(p.of_trial(held_out=False) for p in effects)])
+        fitted = np.concatenate([np.ones(n, bool), *(p.of_trial(held_out=False) for p in effects)])
         here = ~fitted if evidence.held_out else fitted
         self.free = np.flatnonzero(here & (self.upper - self.lower > NO_RANGE))
         self.evaluations = 0
 
     def many(self, z: np.ndarray) -> np.ndarray:
-        """Residuals (m, n_r) of points (m, 12 + p)."""
+        """Residuals (m, n_r) of points (m, n + p)."""
         self.evaluations += len(z)
         return np.concatenate([self._some(z[i : i + BATCH]) for i in range(0, len(z), BATCH)])
 
     def _run(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._replay.run_effects(np.exp(z[:, :12]), split(self.effects, z[:, 12:]))
+        return self._replay.run_effects(
+            self._system.values(z[:, : self._n]), split(self.effects, z[:, self._n :])
+        )
 
     def _some(self, z: np.ndarray) -> np.ndarray:
-        rows = [self._evidence.whitened(*self._run(z)), self._prior(z, slice(12))]
+        rows = [self._evidence.whitened(*self._run(z)), self._prior(z, slice(self._n))]
         # effect by effect: what is added to a set adds its rows at the end
-        for placed, own, x in zip(self.effects, self._places, split(self.effects, z[:, 12:]), strict=True):
+        for placed, own, x in zip(
+            self.effects, self._places, split(self.effects, z[:, self._n :]), strict=True
+        ):
             rows.append(self._prior(z, own))
             skin, ways = self._ways(placed, x)
             if skin is not None:
@@ -108,7 +139,7 @@ class JointResiduals(least_squares.Residuals):
     @property
     def _places(self) -> list[slice]:
         """Where each effect's numbers are in a point."""
-        ends = 12 + np.cumsum([0, *(len(placed.effect.parameters) for placed in self.effects)])
+        ends = self._n + np.cumsum([0, *(len(placed.effect.parameters) for placed in self.effects)])
         return [slice(a, b) for a, b in pairwise(ends)]
 
     def _ways(self, placed: Placed, x: np.ndarray) -> tuple[Skin | None, list[np.ndarray]]:
@@ -122,15 +153,15 @@ class JointResiduals(least_squares.Residuals):
         return self._evidence.skin, [ways(values, self._evidence.context) for values in placed.values(x)]
 
     def paths(self, z: np.ndarray) -> np.ndarray:
-        """Simulated interface markers (n, 2, 3) [m, world] at a point (12 + p,)."""
+        """Simulated interface markers (n, 2, 3) [m, world] at a point (n + p,)."""
         return self._run(z[None])[0][0]
 
     def raw(self, z: np.ndarray) -> np.ndarray:
-        """Residuals (1, n, c) before they are whitened, at a point (12 + p,)."""
+        """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""
         return self._evidence.raw(*self._run(z[None]))
 
     def judged(self, z: np.ndarray) -> tuple[float, float]:
-        """Sum of squares of the data's residuals alone, and J, at a point (12 + p,).
+        """Sum of squares of the data's residuals alone, and J, at a point (n + p,).
 
         Ways of the pelvis' markers that these do not show count as residuals too.
         """
@@ -138,20 +169,19 @@ class JointResiduals(least_squares.Residuals):
         paths, joints = self._run(z[None])
         row = self._evidence.whitened(paths, joints)[0]
         chi2 = float(row @ row)
-        for placed, x in zip(self.effects, split(self.effects, z[None, 12:]), strict=True):
+        for placed, x in zip(self.effects, split(self.effects, z[None, self._n :]), strict=True):
             skin, ways = self._ways(placed, x)
             if skin is not None:
                 chi2 += skin.against_it(ways[0])
         return chi2, float(self._evidence.j(paths)[0])
 
 
-def _strap_prior(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and SD (12,) of the ln-parameters before any data: the search bounds are its two sigma.
+def _base_prior(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and SD (n,) of the system's searched parameters before any data: the search bounds are its two sigma.
 
     It is nothing beside a trial that moves an axis; a parameter that the trial says nothing about stays in the middle
     instead of wandering to wherever the noise pushes it.
     """
-    lower, upper = np.log(bounds.lower), np.log(bounds.upper)
     return (lower + upper) / 2, np.maximum((upper - lower) / 4, 1e-3)
 
 
@@ -164,7 +194,7 @@ def refit(
     keep: float = 0.0,
     known: least_squares.Tangent | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Best point (12 + p,) from a start and its cost, all coordinates free that are fitted on this trial.
+    """Best point (n + p,) from a start and its cost, all coordinates free that are fitted on this trial.
 
     ``keep``, ``known``: see `least_squares.minimise`.
     """

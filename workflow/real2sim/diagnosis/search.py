@@ -1,13 +1,13 @@
 """Screening on the tangent and joint refits of one pair of trials: what the attribution searches with.
 
-Refitting the 12 parameters swallows most of the gap of many effects, so an effect is judged by a joint refit (12 + its
-own parameters) on the training trial and by what it leaves of the held-out one.
+Refitting the system's parameters absorbs most of the gap of many effects, so an effect is judged by a joint refit
+(those and its own parameters) on the training trial and by what it leaves of the held-out one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +18,7 @@ from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent
-from real2sim.inference.parameters import Bounds
+from real2sim.system.description import System
 
 # A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
 KEEP = 0.3
@@ -34,16 +34,16 @@ NEAR = 1.0
 LONGEST_STEP = 1.5
 
 
-@dataclass
+@dataclass(frozen=True)
 class Pair:
-    """Training and held-out trial of one person, whitened, with common scales.
+    """Training and held-out trial of one system, whitened, with common scales.
 
     ``exchanged``: the trial that was to be fitted shows no gap and the other does, so that they changed places.
     """
 
     train: Evidence
     held_out: Evidence
-    bounds: Bounds
+    system: System
     exchanged: bool = False
 
     @property
@@ -56,7 +56,7 @@ class Pair:
 class Screened:
     """A hypothesis before its refit: predicted cost on the training trial and where to start.
 
-    ``tangent`` is what it was predicted with: residuals (n_r,) and Jacobian (n_r, 12 + p) at (12 + p,), the columns of
+    ``tangent`` is what it was predicted with: residuals (n_r,) and Jacobian (n_r, n + p) at (n + p,), the columns of
     the strap and of effects fitted before being those without it.
     """
 
@@ -100,7 +100,7 @@ class Search:
         z, _ = refit(
             residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP, known=tangent
         )
-        held_out = JointResiduals(self.pair.held_out, effects, self.pair.bounds, coarse=not final)
+        held_out = JointResiduals(self.pair.held_out, effects, self.pair.system, coarse=not final)
         if len(held_out.free):
             z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
@@ -113,7 +113,7 @@ class Search:
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
         """Those of the training trial; what is only searched with does not need the finest time step."""
-        return JointResiduals(self.pair.train, effects, self.pair.bounds, coarse=coarse)
+        return JointResiduals(self.pair.train, effects, self.pair.system, coarse=coarse)
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -131,7 +131,7 @@ class Search:
             return float((left - mean) / sd)
         key = hypothesis.key, hypothesis.z.tobytes()
         if key not in self._noise:
-            parameters, x = np.exp(hypothesis.z[:12]), hypothesis.split()
+            parameters, x = self.pair.system.values(hypothesis.base), hypothesis.split()
             settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
             draws = self.pair.train.noise_through(*settled) + self.pair.held_out.noise_through(*settled)
             self.evaluations += 2 * BATCH
@@ -170,7 +170,7 @@ class Search:
         What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
         friction, and no tangent leads out of there. So these are tried from the middle of their range too.
         """
-        z = _fresh_starts(effects[-1], base, *self._middle)
+        z = _fresh_starts(effects[-1], base, self.pair.system)
         costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)
         costs = np.where(np.isfinite(costs), costs, FAILED)
@@ -198,12 +198,6 @@ class Search:
         order = np.argsort(costs, kind="stable")
         return z[order], costs[order]
 
-    @property
-    def _middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middles (6,) of the ranges of ln-stiffness and ln-damping."""
-        middle = (np.log(self.pair.bounds.lower) + np.log(self.pair.bounds.upper)) / 2
-        return middle[:6], middle[6:]
-
     def bearable(self, effects: tuple[Placed, ...], base: np.ndarray, x: np.ndarray) -> np.ndarray:
         """``base`` with the start ``x`` (p,) of the last effect, weakened until the simulation bears it.
 
@@ -219,12 +213,17 @@ class Search:
         return z
 
     def mark_spikes(self, best: Hypothesis) -> bool:
-        """Look for jumps of the markers in what a hypothesis leaves of both trials; whether there are new ones."""
-        new = [
-            evidence.mark_spikes(JointResiduals(evidence, best.effects, self.pair.bounds).paths(best.z))
-            for evidence in (self.pair.train, self.pair.held_out)
-        ]
-        return any(new)
+        """Look for jumps of the markers in what a hypothesis leaves of both trials; whether there are new ones.
+
+        Where there are, `pair` is another one from then on.
+        """
+        before = self.pair
+        train, held_out = (
+            evidence.with_spikes(JointResiduals(evidence, best.effects, before.system).paths(best.z))
+            for evidence in (before.train, before.held_out)
+        )
+        self.pair = replace(before, train=train, held_out=held_out)
+        return train is not before.train or held_out is not before.held_out
 
     def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
         """Predicted cost of adding each place to a fitted hypothesis, best first."""
@@ -280,8 +279,9 @@ class Search:
                 continue
             tangent = _together(here, a.tangent, b.tangent)
             limits = [placed.bounds() for placed in effects]
-            lower = np.concatenate([np.log(self.pair.bounds.lower), *(low for low, _ in limits)])
-            upper = np.concatenate([np.log(self.pair.bounds.upper), *(high for _, high in limits)])
+            own_lower, own_upper = self.pair.system.bounds()
+            lower = np.concatenate([own_lower, *(low for low, _ in limits)])
+            upper = np.concatenate([own_upper, *(high for _, high in limits)])
             step, cost = _bounded_step(tangent, lower, upper)
             out.append(Screened(effects, cost, tangent.z + step, tangent))
             out = sorted(out, key=lambda s: s.predicted)[:most]
@@ -325,8 +325,11 @@ def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
         x = placed.weaker(x)
 
 
-def _fresh_starts(placed: Placed, base: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the strap's axis old and new."""
+def _fresh_starts(placed: Placed, base: np.ndarray, system: System) -> np.ndarray:
+    """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the axis' parameters old and new.
+
+    New are the middles of their ranges: first the damping alone, then stiffness and damping.
+    """
     starts, (_, upper) = placed.starts(), placed.bounds()
     strengths = [starts]
     if placed.effect.parameters and placed.effect.parameters[0].log:
@@ -334,14 +337,22 @@ def _fresh_starts(placed: Placed, base: np.ndarray, stiffness: np.ndarray, dampi
         ladder[:, 0] = np.linspace(starts[:, 0].max(), upper[0], STRENGTHS + 1)[1:]
         strengths.append(ladder)
     x = np.concatenate(strengths)
-    straps = [base[:12]]
+    lower_base, upper_base = system.bounds()
+    middle = (lower_base + upper_base) / 2
+    bases = [base]
     if len(placed.where.axes) == 1:
         axis = placed.where.axes[0]
-        softer, freed = base[:12].copy(), base[:12].copy()
-        softer[6 + axis] = freed[6 + axis] = damping[axis]
-        freed[axis] = stiffness[axis]
-        straps += [softer, freed]
-    return np.array([np.concatenate([strap, base[12:], own]) for strap in straps for own in x])
+        softer, freed = base.copy(), base.copy()
+        for index in _of_axis(system.damping_of_axis, axis):
+            softer[index] = freed[index] = middle[index]
+        for index in _of_axis(system.stiffness_of_axis, axis):
+            freed[index] = middle[index]
+        bases += [softer, freed]
+    return np.array([np.concatenate([one, own]) for one in bases for own in x])
+
+
+def _of_axis(index: Mapping[int, int], axis: int) -> list[int]:
+    return [index[axis]] if axis in index else []
 
 
 def _bounded_step(tangent: Tangent, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,7 @@ class Run:
         # pycma 4.5 forgets the option when it goes from the diagonal to the full covariance
         self._strategy.sm.randn = self._randn
         self._points = self._strategy.ask()
-        return np.exp(np.array(self._points))
+        return np.asarray(np.exp(np.array(self._points)))
 
     def tell(self, values: np.ndarray) -> None:
         """Costs (population,) of what `ask` gave."""
@@ -149,8 +150,9 @@ def search(
     return [run.result() for run in runs]
 
 
-def _plain(value: object) -> float:
+def _plain(value: Any) -> float:
+    """Return a termination figure of pycma as a number, NaN where it is none."""
     try:
-        return float(value)  # type: ignore[arg-type]
+        return float(value)
     except (TypeError, ValueError):
         return float("nan")

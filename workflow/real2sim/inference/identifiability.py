@@ -14,8 +14,10 @@ chapter 7): intervals belong to the minimum of J - E, and H loses what E contrib
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final, Literal, NotRequired, TypedDict
 
 import numpy as np
 from scipy import stats
@@ -23,9 +25,13 @@ from scipy import stats
 from real2sim.inference.least_squares import Residuals, minimise
 from real2sim.inference.parameters import PARAMETERS, Bounds
 
-DETERMINED, WEAK, NOT_DETERMINED, AT_BOUND = "determined", "weak", "not determined", "at bound"
+Verdict = Literal["determined", "weak", "not determined", "at bound"]
+DETERMINED: Final = "determined"
+WEAK: Final = "weak"
+NOT_DETERMINED: Final = "not determined"
+AT_BOUND: Final = "at bound"
 
-# What would tell: springs are seen when the robot can be held off slowly, dampers when it is moved fast
+# Movement that excites each axis: a spring needs slow deflections of the interface, a damper fast ones
 _TRIAL = {
     "tx": "antero-posterior leaning",
     "ty": "lateral leaning",
@@ -47,6 +53,60 @@ LEAST_OF_WHITE = 0.1
 LARGEST_STEP, SMALL_STEP_SD = 1.0, 0.2
 # Up to so many thresholds a profile is taken for a parabola
 PARABOLA = 4.0
+
+
+class Options(TypedDict):
+    """Slice ``identifiability`` of the configuration; config/README.md says what each key does."""
+
+    determined_sd_ln: float
+    weak_sd_ln: float
+    at_bound_ln: float
+    autocorrelation_s: float
+    step_ln: float
+    iterations: int
+    profile_iterations: int
+    floor_block_s: float
+    floor_bootstrap: int
+    bias_draws: int
+    bias_iterations: int
+    bias_step_ln: float
+    seed: int
+
+
+class Judgement(TypedDict):
+    """Verdict on a parameter, its reason, and the trial that would determine it (None where it is determined)."""
+
+    verdict: Verdict
+    reason: str
+    next_trial: str | None
+
+
+class AssessedParameter(Judgement):
+    """A fitted parameter: value and 95 % interval [SI; None: open end], SD and bias in ln-units (None at a bound)."""
+
+    value: float
+    sd_ln: float | None
+    bias_ln: float | None
+    ci95: list[float | None]
+
+
+class FlatDirection(TypedDict):
+    """A product of parameters, {name: exponent}, that a fit leaves open, and its SD in ln-units."""
+
+    sd_ln: float
+    combination: dict[str, float]
+
+
+class Assessment(TypedDict):
+    """What a fit determines; see `assess`. ``input_noise_m`` (4,) is the noise of the pelvis markers, where known."""
+
+    J: float
+    parameters: dict[str, AssessedParameter]
+    flat_directions: list[FlatDirection]
+    evaluations: int
+    refined_by: float
+    jacobian: np.ndarray
+    input_noise_m: NotRequired[list[float] | None]
 
 
 @dataclass(frozen=True)
@@ -95,7 +155,7 @@ def long_run_covariance(scores: np.ndarray, lags: int) -> np.ndarray:
     for lag in range(1, lags + 1):
         cross = scores[lag:].T @ scores[:-lag]
         total += (1 - lag / (lags + 1)) * (cross + cross.T)
-    return total
+    return np.asarray(total)
 
 
 def per_sample(values: np.ndarray, sample: np.ndarray) -> np.ndarray:
@@ -113,7 +173,7 @@ def less_noise(information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     half = np.linalg.solve(lower, curvature)
     share, directions = np.linalg.eigh(np.linalg.solve(lower, half.T))
     spread = lower @ directions
-    return (spread * np.clip(1 - share, LEAST_SHARE, 1.0)) @ spread.T
+    return np.asarray((spread * np.clip(1 - share, LEAST_SHARE, 1.0)) @ spread.T)
 
 
 def information(
@@ -246,13 +306,10 @@ def profile_end(
                 return root(outer)
 
 
-def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[dict]:
-    """Directions in ln-space along which the fit is free by more than ``sd``, as products of parameters.
-
-    Each has its ``sd_ln`` and ``combination``: {parameter: exponent}, small exponents left out.
-    """
+def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[FlatDirection]:
+    """Return the directions in ln-space along which the fit is free by more than ``sd``, small exponents left out."""
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)])
-    out = []
+    out: list[FlatDirection] = []
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
         if value < sd**2:
             break
@@ -294,11 +351,11 @@ def assess(
     *,
     batch: int,
     rate_hz: float,
-    settings: dict,
+    settings: Options,
     noise: Callable[[np.ndarray], NoiseTerms] | None = None,
     fitted: np.ndarray | None = None,
-) -> dict:
-    """Verdict on each parameter of a fit.
+) -> Assessment:
+    """Return a verdict on each parameter of a fit.
 
     Parameters
     ----------
@@ -313,111 +370,191 @@ def assess(
     settings
         Slice ``identifiability`` of the configuration.
     noise
-        Maps z (12,) to what the noise of the input adds there. The bias that it causes is taken off the intervals, not
-        off the fit.
+        Maps z (12,) to what the noise of the input adds there. Its bias is taken off the intervals, not off the fit.
     fitted
         Indices of the parameters that were fitted, all by default; the others are taken for known and have no verdict.
 
     Returns
     -------
-    dict
-        Per fitted parameter ``value``, ``ci95`` [SI], ``sd_ln``, ``bias_ln``, ``verdict``, ``reason``, ``next_trial``;
-        ``J``, ``flat_directions``, ``evaluations``, ``refined_by`` (largest change in ln-units by the refinement) and
-        the ``jacobian`` (n_r, 12).
+    Assessment
+        ``parameters`` holds the fitted ones; ``refined_by`` is the largest change in ln-units by the refinement,
+        ``jacobian`` (n_r, 12) that of the residuals at the refined fit, ``evaluations`` the number of replays.
     """
     problem = Residuals(residuals, bounds, batch)
     start = np.log(parameters)
     everything = np.arange(12) if fitted is None else fitted
-    z, cost, _, _ = minimise(problem, start, everything, iterations=settings["iterations"], ftol=1e-8)
     lags = round(settings["autocorrelation_s"] * rate_hz)
-    residual, jacobian = central_jacobian(problem, z, settings["step_ln"])
-    own_jacobian = jacobian
-    point, terms = z, None
-    if noise is not None:
-        point, terms = corrected_fit(
-            problem,
-            z,
-            sample,
-            noise,
-            step=settings["step_ln"],
-            lags=lags,
-            iterations=settings["bias_iterations"],
-            free=everything,
-        )
-        residual, jacobian = central_jacobian(problem, point, settings["step_ln"])
-    shift = z - point
-    whole = information(residual, jacobian, sample, everything, lags=lags, noise=terms)
-    near = settings["at_bound_ln"]
-    at_bound = (z - problem.lower < near) | (problem.upper - z < near)
-    # at its bound a parameter is known, but for what cannot be known at all
-    bound = at_bound & (whole.sd() <= settings["weak_sd_ln"])
-    free = everything[~bound[everything]]
-    info = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
-    rows = {}
-    for i in everything.tolist():
-        name = PARAMETERS[i]
-        known = whole if bound[i] else info
-        sd = float(known.sd()[i])
-        ends: list[float | None] = [float(point[i] + side * NORMAL_95 * sd) for side in (-1, 1)]
-        if sd > settings["weak_sd_ln"]:
-            # no profile: J would rise by the noise of the input alone
-            ends = [
-                end if end is not None and problem.lower[i] <= end <= problem.upper[i] else None
-                for end in ends
-            ]
-        elif bound[i] or sd > settings["determined_sd_ln"]:
-            sides = _profile(problem, z, cost, i, known, settings["profile_iterations"], everything)
-            ends = [None if end is None else end - float(shift[i]) for end in sides]
-        rows[name] = {
-            "value": float(np.exp(z[i])),
-            "sd_ln": None if bound[i] else sd,
-            "bias_ln": None if bound[i] else float(shift[i]),
-            "ci95": [None if end is None else float(np.exp(end)) for end in ends],
-            **_verdict(name, float(z[i]), ends, sd, float(shift[i]), bool(bound[i]), settings),
-        }
+    fit = _locate(problem, start, everything, sample, lags, noise, settings)
+    rows = {
+        PARAMETERS[i]: _assess_parameter(problem, fit, i, everything, settings) for i in everything.tolist()
+    }
     return {
-        "J": cost,
+        "J": fit.cost,
         "parameters": rows,
-        "flat_directions": flat_directions(info.covariance, free, sd=settings["weak_sd_ln"]),
+        "flat_directions": flat_directions(fit.inner.covariance, fit.free, sd=settings["weak_sd_ln"]),
         "evaluations": problem.evaluations,
-        "refined_by": float(np.abs(z - start).max()),
-        "jacobian": own_jacobian,
+        "refined_by": float(np.abs(fit.z - start).max()),
+        "jacobian": fit.jacobian,
     }
 
 
-def _verdict(
+@dataclass(frozen=True)
+class _Located:
+    """A refined fit, its corrected point, and the information there.
+
+    ``z`` (12,) [ln], its ``cost`` J and ``jacobian`` (n_r, 12); ``point`` (12,) [ln] without the bias by noise of the
+    input; ``whole`` information with every fitted parameter free, ``inner`` with those ``free`` (k,) that are not
+    ``bound`` (12,).
+    """
+
+    z: np.ndarray
+    cost: float
+    jacobian: np.ndarray
+    point: np.ndarray
+    whole: Information
+    inner: Information
+    free: np.ndarray
+    bound: np.ndarray
+
+    @property
+    def bias(self) -> np.ndarray:
+        """How far (12,) noise of the input moves the fit, ln-units."""
+        return np.asarray(self.z - self.point)
+
+
+def _locate(
+    problem: Residuals,
+    start: np.ndarray,
+    fitted: np.ndarray,
+    sample: np.ndarray,
+    lags: int,
+    noise: Callable[[np.ndarray], NoiseTerms] | None,
+    options: Options,
+) -> _Located:
+    """Refine a fit (12,) [ln] and compute the information at its corrected point."""
+    step = options["step_ln"]
+    z, cost, _, _ = minimise(problem, start, fitted, iterations=options["iterations"], ftol=1e-8)
+    residual, jacobian = central_jacobian(problem, z, step)
+    own_jacobian = jacobian
+    point, terms = z, None
+    if noise is not None:
+        iterations = options["bias_iterations"]
+        point, terms = corrected_fit(
+            problem, z, sample, noise, step=step, lags=lags, iterations=iterations, free=fitted
+        )
+        residual, jacobian = central_jacobian(problem, point, step)
+    whole = information(residual, jacobian, sample, fitted, lags=lags, noise=terms)
+    near = options["at_bound_ln"]
+    at_bound = (z - problem.lower < near) | (problem.upper - z < near)
+    # at its bound a parameter is known, but for what cannot be known at all
+    bound = at_bound & (whole.sd() <= options["weak_sd_ln"])
+    free = fitted[~bound[fitted]]
+    inner = information(residual, jacobian, sample, free, lags=lags, noise=terms) if bound.any() else whole
+    return _Located(z, cost, own_jacobian, point, whole, inner, free, bound)
+
+
+def _assess_parameter(
+    problem: Residuals, fit: _Located, index: int, fitted: np.ndarray, options: Options
+) -> AssessedParameter:
+    """Return value, interval and verdict of one parameter; a wide interval comes from the profile of J."""
+    bound = bool(fit.bound[index])
+    known = fit.whole if bound else fit.inner
+    sd, bias = float(known.sd()[index]), float(fit.bias[index])
+    ends: list[float | None] = [float(fit.point[index] + side * NORMAL_95 * sd) for side in (-1, 1)]
+    if sd > options["weak_sd_ln"]:
+        # no profile: J would rise by the noise of the input alone
+        lower, upper = problem.lower[index], problem.upper[index]
+        ends = [end if end is not None and lower <= end <= upper else None for end in ends]
+    elif bound or sd > options["determined_sd_ln"]:
+        iterations = options["profile_iterations"]
+        sides = _profile(problem, fit.z, fit.cost, index, known, iterations, fitted)
+        ends = [None if end is None else end - bias for end in sides]
+    value = float(fit.z[index])
+    return {
+        "value": float(np.exp(fit.z[index])),
+        "sd_ln": None if bound else sd,
+        "bias_ln": None if bound else bias,
+        "ci95": [None if end is None else float(np.exp(end)) for end in ends],
+        **_judge(PARAMETERS[index], value, ends, sd, bias, bound, options),
+    }
+
+
+def interval_verdict(
+    sd_ln: float, bias_ln: float, *, too_wide: bool, at_bound: bool, determined_sd_ln: float
+) -> Verdict:
+    """Return the verdict on a parameter, from what its 95 % interval shows.
+
+    Parameters
+    ----------
+    sd_ln, bias_ln
+        Standard deviation, and shift of the fit by noise of the input [ln-units].
+    too_wide
+        Whether the interval has an open end or is wider than ``identifiability.weak_sd_ln`` admits.
+    at_bound
+        Whether the fit stands at a bound of the search.
+    determined_sd_ln
+        Largest SD, and largest bias, of a parameter that is determined. The noise is an estimate from quiet standing:
+        no large correction is trusted to it.
+    """
+    if too_wide:
+        return NOT_DETERMINED
+    if at_bound:
+        return AT_BOUND
+    return WEAK if sd_ln > determined_sd_ln or abs(bias_ln) > determined_sd_ln else DETERMINED
+
+
+def _why_too_wide(
+    z: float, ends: list[float | None], bias: float, at_bound: bool, options: Options
+) -> str | None:
+    """Return why an interval (two ends in ln-units, None: open) determines nothing; None where it is narrow enough."""
+    low, high = ends
+    largest = NORMAL_95 * options["weak_sd_ln"]
+    if low is None and high is None:
+        return "J rises towards neither bound: every admissible value fits as well"
+    if at_bound:
+        reach = max(abs(end - z + bias) for end in ends if end is not None)
+        return (
+            f"from its bound J does not rise within a factor of {np.exp(reach):.2f}"
+            if reach > largest
+            else None
+        )
+    if low is None or high is None:
+        side = "lower" if low is None else "upper"
+        return f"J does not rise towards the {side} bound: every value there fits as well"
+    return _within_factor((high - low) / 2) if (high - low) / 2 > largest else None
+
+
+def _within_factor(half_width: float) -> str:
+    return f"95 % interval within a factor of {np.exp(half_width):.2f}"
+
+
+def _judge(
     name: str,
     z: float,
     ends: list[float | None],
     sd: float,
     bias: float,
     at_bound: bool,
-    settings: dict,
-) -> dict[str, str | None]:
+    options: Options,
+) -> Judgement:
+    """Return the verdict on a parameter with its reason and advice, from a fit z and interval ends in ln-units."""
+    determined_sd = options["determined_sd_ln"]
+    too_wide = _why_too_wide(z, ends, bias, at_bound, options)
+    verdict = interval_verdict(
+        sd, bias, too_wide=too_wide is not None, at_bound=at_bound, determined_sd_ln=determined_sd
+    )
     low, high = ends
-    advice = _advice(name)
-    if low is None and high is None:
-        reason = "J rises towards neither bound: every admissible value fits as well"
-        return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
-    if at_bound:
-        reach = max(abs(end - z + bias) for end in ends if end is not None)
-        if reach > NORMAL_95 * settings["weak_sd_ln"]:
-            reason = f"from its bound J does not rise within a factor of {np.exp(reach):.2f}"
-            return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
+    half_width = math.inf if low is None or high is None else (high - low) / 2
+    if too_wide is not None:
+        reason = too_wide
+    elif verdict == AT_BOUND:
         reason = "the search ended at its bound: the optimum may lie beyond it"
-        return {"verdict": AT_BOUND, "reason": reason, "next_trial": advice}
-    if low is None or high is None:
-        side = "lower" if low is None else "upper"
-        reason = f"J does not rise towards the {side} bound: every value there fits as well"
-        return {"verdict": NOT_DETERMINED, "reason": reason, "next_trial": advice}
-    half = (high - low) / 2
-    factor = f"95 % interval within a factor of {np.exp(half):.2f}"
-    if half > NORMAL_95 * settings["weak_sd_ln"]:
-        return {"verdict": NOT_DETERMINED, "reason": factor, "next_trial": advice}
-    if sd > settings["determined_sd_ln"]:
-        return {"verdict": WEAK, "reason": factor, "next_trial": advice}
-    if abs(bias) > settings["determined_sd_ln"]:
-        # the noise is an estimate from the neutral trial: no large correction is trusted to it
+    elif verdict == WEAK and not sd > determined_sd:
         reason = f"noise of the pelvis markers alone moves it by a factor of {np.exp(abs(bias)):.2f}"
-        return {"verdict": WEAK, "reason": reason, "next_trial": advice}
-    return {"verdict": DETERMINED, "reason": factor, "next_trial": None}
+    else:
+        reason = _within_factor(half_width)
+    return {
+        "verdict": verdict,
+        "reason": reason,
+        "next_trial": None if verdict == DETERMINED else _advice(name),
+    }

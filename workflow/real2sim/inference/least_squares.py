@@ -86,7 +86,7 @@ class Residuals:
             other[np.arange(len(other)), free[failed]] -= step[failed]
             out[failed], step[failed] = self.many(other), -step[failed]
             out = np.where(np.isfinite(out).all(axis=1)[:, None], out, r)
-        return ((out - r) / step[:, None]).T
+        return np.asarray(((out - r) / step[:, None]).T)
 
 
 def minimise(
@@ -99,55 +99,20 @@ def minimise(
     keep: float = 0.0,
     known: Tangent | None = None,
 ) -> tuple[np.ndarray, float, list[tuple[int, float]], int]:
-    """Trust-region search from ln-parameters (12,), of which those listed in ``free`` move.
+    """Minimise the sum of squares from ln-parameters (12,), of which those listed in ``free`` move (trust region).
 
-    As long as a step's residuals are foretold by the Jacobian to a share ``keep`` of what they change, the Jacobian is
-    not taken anew but updated (Broyden 1965); 0 takes it anew at every step. ``known`` is a Jacobian taken before near
-    the start, to go on from as if the search had begun there. Returns the best point, its cost, (evaluations, best
-    cost) per iteration and scipy's status.
+    As long as the Jacobian predicts the residuals of a step to a share ``keep`` of their change, it is updated (Broyden
+    1965) instead of taken anew; 0 takes it anew at every step. ``known`` is a Jacobian taken before near the start, to
+    go on from as if the search had begun there. Returns the best point, its cost, (evaluations, best cost) per
+    iteration and scipy's status.
     """
-    history: list[tuple[int, float]] = []
-    best_z, best_cost = start, np.inf
-    asked: tuple[np.ndarray, np.ndarray] = (np.empty(0), np.empty(0))
-    last = None if known is None else Tangent(known.z[free], known.residuals, known.jacobian[:, free])
-
-    def at(x: np.ndarray) -> np.ndarray:
-        z = start.copy()
-        z[free] = x
-        return z
-
-    def value(x: np.ndarray) -> np.ndarray:
-        nonlocal best_z, best_cost, asked
-        z = at(x)
-        r = residuals.many(z[None])[0]
-        cost = float(np.sum(r * r))
-        if not np.isfinite(cost):
-            # a step into a simulation that fails: so bad that the trust region shrinks
-            r = np.full_like(r, _FAILED)
-        elif cost < best_cost:
-            best_z, best_cost = z, cost
-        asked = x.copy(), r
-        history.append((residuals.evaluations, best_cost))
-        return r
-
-    def slope(x: np.ndarray) -> np.ndarray:
-        nonlocal last
-        # scipy asks for the slope where it last asked for the value
-        r = asked[1] if np.array_equal(asked[0], x) else value(x)
-        jacobian = _updated(last, x, r, keep)
-        if jacobian is None and np.all(r == _FAILED):
-            jacobian = np.zeros((len(r), len(free)))
-        elif jacobian is None:
-            jacobian = residuals.jacobian(at(x), r, free)
-        last = Tangent(x.copy(), r, jacobian)
-        return jacobian
-
+    problem = _Visited(residuals, start, free, keep, known)
     margin = 1e-6
     lower, upper = residuals.lower[free], residuals.upper[free]
     solution = least_squares(
-        value,
+        problem.value,
         np.clip(start[free], lower + margin, upper - margin),
-        jac=slope,
+        jac=problem.slope,
         bounds=(lower, upper),
         method="trf",
         ftol=ftol,
@@ -155,20 +120,69 @@ def minimise(
         gtol=1e-10,
         max_nfev=iterations,
     )
-    history.append((residuals.evaluations, best_cost))
-    return best_z, best_cost, history, int(solution.status)
+    problem.history.append((residuals.evaluations, problem.best_cost))
+    return problem.best_z, problem.best_cost, problem.history, int(solution.status)
+
+
+class _Visited:
+    """Residuals and Jacobian as scipy asks for them, with the best point visited and (evaluations, best cost) so far.
+
+    Arguments as of `minimise`.
+    """
+
+    def __init__(
+        self, residuals: Residuals, start: np.ndarray, free: np.ndarray, keep: float, known: Tangent | None
+    ):
+        self._residuals, self._start, self._free, self._keep = residuals, start, free, keep
+        self.best_z, self.best_cost = start, np.inf
+        self.history: list[tuple[int, float]] = []
+        self._asked: tuple[np.ndarray, np.ndarray] = (np.empty(0), np.empty(0))
+        self._last = (
+            None if known is None else Tangent(known.z[free], known.residuals, known.jacobian[:, free])
+        )
+
+    def _at(self, x: np.ndarray) -> np.ndarray:
+        z = self._start.copy()
+        z[self._free] = x
+        return z
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        """Return the residuals (n_r,) at the free ln-parameters x (k,)."""
+        z = self._at(x)
+        r: np.ndarray = self._residuals.many(z[None])[0]
+        cost = float(np.sum(r * r))
+        if not np.isfinite(cost):
+            # a step into a simulation that fails: so bad that the trust region shrinks
+            r = np.full_like(r, _FAILED)
+        elif cost < self.best_cost:
+            self.best_z, self.best_cost = z, cost
+        self._asked = x.copy(), r
+        self.history.append((self._residuals.evaluations, self.best_cost))
+        return r
+
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        """Return the Jacobian (n_r, k) by the free ln-parameters at x (k,)."""
+        # scipy asks for the slope where it last asked for the value
+        r = self._asked[1] if np.array_equal(self._asked[0], x) else self.value(x)
+        jacobian = _updated(self._last, x, r, self._keep)
+        if jacobian is None and np.all(r == _FAILED):
+            jacobian = np.zeros((len(r), len(self._free)))
+        elif jacobian is None:
+            jacobian = self._residuals.jacobian(self._at(x), r, self._free)
+        self._last = Tangent(x.copy(), r, jacobian)
+        return jacobian
 
 
 def _updated(last: Tangent | None, x: np.ndarray, r: np.ndarray, keep: float) -> np.ndarray | None:
-    """The last point's Jacobian with a secant of rank one; None where it foretold the residuals too badly."""
+    """Return the last point's Jacobian with a secant of rank one; None where it predicted the residuals too badly."""
     if last is None or keep <= 0:
         return None
-    way = x - last.z
-    foretold = last.jacobian @ way
-    missed = r - last.residuals - foretold
-    if way @ way == 0 or np.linalg.norm(missed) > keep * np.linalg.norm(foretold):
+    step = x - last.z
+    predicted = last.jacobian @ step
+    missed = r - last.residuals - predicted
+    if step @ step == 0 or np.linalg.norm(missed) > keep * np.linalg.norm(predicted):
         return None
-    return np.asarray(last.jacobian + np.outer(missed, way / (way @ way)))
+    return np.asarray(last.jacobian + np.outer(missed, step / (step @ step)))
 
 
 def search(

@@ -40,7 +40,7 @@ class Bounds:
 
     def log_uniform(self, rng: np.random.Generator) -> np.ndarray:
         """Draw ln-parameters (12,) uniformly between the logarithms of the bounds."""
-        return rng.uniform(np.log(self.lower), np.log(self.upper))
+        return np.asarray(rng.uniform(np.log(self.lower), np.log(self.upper)))
 
     def at_bound(self, values: np.ndarray, tolerance: float) -> list[str]:
         """Names of the parameters (12,) whose logarithm lies within ``tolerance`` of a bound's."""

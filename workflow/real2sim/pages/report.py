@@ -8,7 +8,7 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -128,35 +128,108 @@ _SCRIPT = """
 """.strip()
 
 
-@dataclass
+@dataclass(frozen=True)
+class Table:
+    """A CSV file and its rows of text."""
+
+    path: Path
+    rows: list[Row]
+
+    @classmethod
+    def read(cls, path: Path) -> Table:
+        """Read a table. Raises InputError where it is broken."""
+        return cls(path, read_table(path))
+
+
+@dataclass(frozen=True)
+class Tightness:
+    """Sweeps of the strap: the regression of all people by motion, and each person's operating point."""
+
+    pooled: dict[str, dict[str, Any]]
+    people: list[dict[str, Any]]
+
+    @classmethod
+    def read(cls, cohort: Path, people: list[Path]) -> Tightness:
+        """Read the files of the stage ``tightness``. Raises InputError where one is broken."""
+        points = [read_json(path, ("subject", "operating_point")) for path in people]
+        return cls(read_json(cohort, ("status", "pooled"))["pooled"], points)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Fits of single trials, their costs on the person's other trial, and which parameters they determine."""
+
+    fits: list[dict[str, Any]]
+    cross_trial: Table
+    identifiability: Table
+
+    @classmethod
+    def read(cls, fits: list[Path], cross_trial: Path, identifiability: Path) -> Identification:
+        """Read the fits and what was made of them. Raises InputError where a file is broken."""
+        required = ("subject", "trial", "cost", "settings", "provenance")
+        records = [read_json(path, required) for path in fits]
+        return cls(records, Table.read(cross_trial), Table.read(identifiability))
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """What people share: ICC and class of each parameter, priors, and what the priors cost someone left out."""
+
+    icc: Table
+    classes: Table
+    priors: Table
+    anthropometrics: Table
+    loso: Table
+    refined: list[dict[str, Any]]
+
+    @classmethod
+    def read(
+        cls, icc: Path, classes: Path, priors: Path, anthropometrics: Path, loso: Path, refined: list[Path]
+    ) -> Sharing:
+        """Read the tables, and refinements of unseen people. Raises InputError where a file is broken."""
+        records = [read_json(path, ("subject", "status", "free", "trials")) for path in refined]
+        return cls(
+            Table.read(icc),
+            Table.read(classes),
+            Table.read(priors),
+            Table.read(anthropometrics),
+            Table.read(loso),
+            records,
+        )
+
+
+@dataclass(frozen=True)
+class Walking:
+    """Tables II and III, and the bars that trained walkers have to meet; None where none was trained."""
+
+    interface: Table
+    gait: Table
+    bars: Table | None
+
+    @classmethod
+    def read(cls, interface: Path, gait: Path, bars: Path | None) -> Walking:
+        """Read the tables. Raises InputError where one is broken."""
+        return cls(Table.read(interface), Table.read(gait), Table.read(bars) if bars else None)
+
+
+@dataclass(frozen=True)
 class Study:
-    """What the page tells of; tables are rows of text, empty where there are none."""
+    """What the page shows: ``people`` maps an id to its cohort, ``figures`` a name in `FIGURES` to its SVG."""
 
     people: dict[str, str]
     figures: dict[str, Path]
-    quality: list[Row]
-    breakpoints: list[dict[str, Any]]
-    tightness: dict[str, Any]
-    cross_trial: list[Row]
-    identifiability: list[Row]
-    icc: list[Row]
-    classes: list[Row]
-    priors: list[Row]
-    anthropometrics: list[Row]
-    loso: list[Row]
-    fits: list[dict[str, Any]]
+    quality: Table
+    tightness: Tightness
+    identification: Identification
+    sharing: Sharing
+    walking: Walking
     diagnoses: list[dict[str, Any]]
-    interface: list[Row]
-    gait: list[Row]
-    claims: list[Row]
-    bars: list[Row]
-    refined: list[dict[str, Any]]
-    files: dict[str, Path] = field(default_factory=dict)
+    claims: Table
 
 
 def report_page(
     *,
-    people: dict,
+    people: dict[str, str],
     figures: list[Path],
     quality: Path,
     tightness: Path,
@@ -197,37 +270,27 @@ def report_page(
     diagnoses
         diagnosis.json of those who have one.
     """
-    tables = {
-        "quality": quality,
-        "cross_trial": cross_trial,
-        "identifiability": identifiability,
-        "icc": icc,
-        "classes": classes,
-        "priors": priors,
-        "anthropometrics": anthropometrics,
-        "loso": loso,
-        "interface": interface,
-        "gait": gait,
-        "claims": claims,
-        **({"bars": bars} if bars else {}),
-    }
     study = Study(
         people=people,
         figures={path.stem: path for path in figures},
-        breakpoints=[read_json(path, ("subject", "operating_point")) for path in breakpoints],
-        tightness=read_json(tightness, ("status", "pooled")),
-        fits=[read_json(path, ("subject", "trial", "cost", "settings", "provenance")) for path in fits],
-        refined=[read_json(path, ("subject", "status", "free", "trials")) for path in refined or []],
+        quality=Table.read(quality),
+        tightness=Tightness.read(tightness, breakpoints),
+        identification=Identification.read(fits, cross_trial, identifiability),
+        sharing=Sharing.read(icc, classes, priors, anthropometrics, loso, refined or []),
+        walking=Walking.read(interface, gait, bars),
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
-        files=tables,
-        **({"bars": []} | {name: read_table(path) for name, path in tables.items()}),
+        claims=Table.read(claims),
     )
+    write_text(out, _page(study, title))
+
+
+def _page(study: Study, title: str) -> str:
     parts = {name: make(study) for name, make in _SECTIONS.items()}
     shown = [part for part in parts.values() if part]
     contents = "".join(
         f'<li><a href="#{name}">{escape(_heading(part))}</a></li>' for name, part in parts.items() if part
     )
-    phantom = any(fit["phantom"] for fit in study.fits)
+    phantom = any(fit["phantom"] for fit in study.identification.fits)
     body = [
         *_notices(study),
         _lead(study),
@@ -235,7 +298,7 @@ def report_page(
         *shown,
         _provenance(study),
     ]
-    write_text(out, document(title, body, phantom=phantom, script=_SCRIPT))
+    return document(title, body, phantom=phantom, script=_SCRIPT)
 
 
 def _heading(part: str) -> str:
@@ -245,11 +308,9 @@ def _heading(part: str) -> str:
 # -------------------- parts of a page
 
 
-def _file(study: Study, *names: str) -> str:
+def _file(*tables: Table) -> str:
     """The tables behind a section, to take away."""
-    links = [
-        download(path.name, path.read_bytes(), "text/csv") for path in (study.files[name] for name in names)
-    ]
+    links = [download(table.path.name, table.path.read_bytes(), "text/csv") for table in tables]
     return f'<p class="small tools">All numbers: {", ".join(links)}</p>'
 
 
@@ -314,15 +375,21 @@ def _notices(study: Study) -> list[str]:
     """What has to be known before any number is believed."""
     notices = []
     for name, rows in (
-        ("Shareability", study.icc),
-        ("Leave one subject out", study.loso),
-        ("Cross-trial", study.cross_trial),
+        ("Shareability", study.sharing.icc.rows),
+        ("Leave one subject out", study.sharing.loso.rows),
+        ("Cross-trial", study.identification.cross_trial.rows),
     ):
         wanting = {row["status"] for row in rows if row.get("status", "").startswith(("needs", "only"))}
         notices += [f"{name}: {status}." for status in sorted(wanting)]
     refused = {
         trial
-        for rows in (study.icc, study.loso, study.identifiability, study.cross_trial, study.priors)
+        for rows in (
+            study.sharing.icc.rows,
+            study.sharing.loso.rows,
+            study.identification.identifiability.rows,
+            study.identification.cross_trial.rows,
+            study.sharing.priors.rows,
+        )
         for row in rows
         for trial in row.get("overridden", "").split()
     }
@@ -337,7 +404,7 @@ def _notices(study: Study) -> list[str]:
 def _trials(study: Study) -> dict[tuple[str, str], str]:
     """Gravest verdict of the gates on each trial."""
     found: dict[tuple[str, str], list[str]] = {}
-    for row in study.quality:
+    for row in study.quality.rows:
         found.setdefault((row["subject"], row["trial"]), []).append(row["verdict"])
     return {key: worst(verdicts) for key, verdicts in found.items()}
 
@@ -352,7 +419,7 @@ def _verdicts_of_people(study: Study) -> dict[str, Counter[str]]:
 
 
 def _over_floor(study: Study, name: str) -> float | None:
-    row = _person(study.cross_trial, name)
+    row = _person(study.identification.cross_trial.rows, name)
     if row is None or not row["J_within_mean_1"] or not row["J_floor_1"]:
         return None
     return number(row["J_within_mean_1"]) / number(row["J_floor_1"])
@@ -370,7 +437,7 @@ def _lead(study: Study) -> str:
     if over:
         times = rounded(statistics.median(over))
         text += f" The best fits cost {times} times what noise alone costs (median of people)."
-    verdicts = Counter(row["verdict"] for row in study.identifiability)
+    verdicts = Counter(row["verdict"] for row in study.identification.identifiability.rows)
     if verdicts:
         text += f" {verdicts['determined']} of {verdicts.total()} values are determined by their trial."
     return paragraph(text, "lead")
@@ -380,13 +447,16 @@ def _lead(study: Study) -> str:
 
 
 def _cohort(study: Study) -> str:
-    gates, values = _verdicts_of_people(study), _by_subject(study.identifiability)
-    points = {b["subject"]: b["operating_point"] for b in study.breakpoints}
+    gates, values = _verdicts_of_people(study), _by_subject(study.identification.identifiability.rows)
+    points = {b["subject"]: b["operating_point"] for b in study.tightness.people}
     diagnosed = {d["subject"]: d for d in study.diagnoses}
     rows = []
     for name, kind in study.people.items():
         own = gates[name]
-        cross, loso = _person(study.cross_trial, name), _person(study.loso, name)
+        cross, loso = (
+            _person(study.identification.cross_trial.rows, name),
+            _person(study.sharing.loso.rows, name),
+        )
         verdicts = Counter(row["verdict"] for row in values.get(name, []))
         grave = worst(own)
         row = [
@@ -443,7 +513,7 @@ def _gates(study: Study) -> str:
         numeric=(1, 2, 3),
     )
     summary = _one_by_one(study, markup)
-    found = [row for row in study.quality if row["verdict"] != PASS]
+    found = [row for row in study.quality.rows if row["verdict"] != PASS]
     listed = [
         [
             escape(f"{row['subject']} {row['trial']}"),
@@ -460,7 +530,7 @@ def _gates(study: Study) -> str:
             "Quality of the recordings",
             summary,
             paragraph("No gate warns or refuses."),
-            _file(study, "quality"),
+            _file(study.quality),
         )
     detail = table(
         ["Trial", "Verdict", "Gate", "What was found", "What helps"],
@@ -468,11 +538,11 @@ def _gates(study: Study) -> str:
         caption="Every warning and refusal. A refused trial stops its fit unless it is overridden by name",
     )
     body = folded(f"{len(listed)} warnings and refusals", detail, unfolded=len(listed) <= 12)
-    return section("quality", "Quality of the recordings", summary, body, _file(study, "quality"))
+    return section("quality", "Quality of the recordings", summary, body, _file(study.quality))
 
 
 def _tightness(study: Study) -> str:
-    pooled = study.tightness["pooled"]
+    pooled = study.tightness.pooled
     rows = [
         [
             {"dphi": "Pelvic rotation", "dx": "Forward and back", "dy": "Left and right"}.get(
@@ -501,7 +571,7 @@ def _tightness(study: Study) -> str:
             _centimetres(b["operating_point"].get("difference_cm")),
             escape(str(b["operating_point"].get("status", ""))),
         ]
-        for b in study.breakpoints
+        for b in study.tightness.people
     ]
     chosen = table(
         ["Person", "Selected [cm]", "Knee [cm]", "Difference [cm]", "Status"],
@@ -530,7 +600,7 @@ def _identification(study: Study) -> str:
             _value(row["J_cross_mean_1"], 4),
             _percent_of(row["overhead_percent"]),
         ]
-        for row in study.cross_trial
+        for row in study.identification.cross_trial.rows
     ]
     costs = table(
         ["Person", "J", "J of noise", "95 % interval", "J on the other trial", "Overhead"],
@@ -540,7 +610,7 @@ def _identification(study: Study) -> str:
         "parameters on the person's other trial. Paper: section V-B.1, and its figures in the last row.",
         numeric=(1, 2, 3, 4, 5),
     )
-    people = _by_subject(study.identifiability)
+    people = _by_subject(study.identification.identifiability.rows)
     own = "\n".join(
         folded(f"{name}: {_counted(mine)}", _parameters(name, mine), unfolded=i == 0)
         for i, (name, mine) in enumerate(people.items())
@@ -551,7 +621,7 @@ def _identification(study: Study) -> str:
         "identification",
         "Identification",
         f'<div class="grid">{_figure(study, "convergence")}<div>{_one_by_one(study, costs)}'
-        f"{_file(study, 'cross_trial')}</div></div>",
+        f"{_file(study.identification.cross_trial)}</div></div>",
         "<h3>What each trial determines</h3>",
         paragraph(
             "A value that is not called determined is not a result. The interval of 95 % takes the "
@@ -560,7 +630,7 @@ def _identification(study: Study) -> str:
         ),
         _per_parameter(study),
         own,
-        _file(study, "identifiability"),
+        _file(study.identification.identifiability),
     )
 
 
@@ -572,7 +642,9 @@ def _counted(rows: Sequence[Row]) -> str:
 def _per_parameter(study: Study) -> str:
     rows = []
     for name in PARAMETERS:
-        counts = Counter(row["verdict"] for row in _of(study.identifiability, parameter=name))
+        counts = Counter(
+            row["verdict"] for row in _of(study.identification.identifiability.rows, parameter=name)
+        )
         if counts:
             share = counts["determined"] / counts.total()
             rows.append(
@@ -623,7 +695,23 @@ def _judged(row: Row) -> list[str]:
 
 
 def _priors(study: Study) -> str:
-    share = {row["parameter"]: row for row in study.icc}
+    shared = study.sharing
+    return section(
+        "priors",
+        "What people share, and priors",
+        f'<div class="grid">{_figure(study, "icc")}{_figure(study, "loso")}</div>',
+        _classes(study),
+        _figure(study, "coverage"),
+        _priors_table(study),
+        _one_by_one(study, _loso_table(study)),
+        _refinements(study),
+        _regression(study),
+        _file(shared.icc, shared.classes, shared.priors, shared.loso, shared.anthropometrics),
+    )
+
+
+def _priors_table(study: Study) -> str:
+    share = {row["parameter"]: row for row in study.sharing.icc.rows}
     rows = [
         [
             escape(row["parameter"]),
@@ -637,9 +725,9 @@ def _priors(study: Study) -> str:
             _value(row["published_prior"], 4),
             escape(row["published_class"]),
         ]
-        for row in study.priors
+        for row in study.sharing.priors.rows
     ]
-    priors = table(
+    return table(
         [
             "Parameter",
             "Prior",
@@ -658,7 +746,10 @@ def _priors(study: Study) -> str:
         "the published prior stands in.",
         numeric=(1, 2, 3, 6, 8),
     )
-    left_out = [
+
+
+def _loso_table(study: Study) -> str:
+    rows = [
         [
             escape(row["subject"]),
             _value(row["J_best"], 4),
@@ -667,25 +758,13 @@ def _priors(study: Study) -> str:
             _percent_of(row["overhead_rmse_percent"]),
             escape(row["status"]),
         ]
-        for row in study.loso
+        for row in study.sharing.loso.rows
     ]
-    loso = table(
+    return table(
         ["Person", "J, own fit", "J, prior of the others", "Overhead J", "Overhead RMSE", "Status"],
-        left_out,
+        rows,
         caption="Leave one subject out: what the prior of the others costs the one left out. Paper: eq. 7.",
         numeric=(1, 2, 3, 4),
-    )
-    return section(
-        "priors",
-        "What people share, and priors",
-        f'<div class="grid">{_figure(study, "icc")}{_figure(study, "loso")}</div>',
-        _classes(study),
-        _figure(study, "coverage"),
-        priors,
-        _one_by_one(study, loso),
-        _refinements(study),
-        _regression(study),
-        _file(study, "icc", "classes", "priors", "loso", "anthropometrics"),
     )
 
 
@@ -699,7 +778,7 @@ def _classes(study: Study) -> str:
             f"<strong>{escape(row['verdict'])}</strong>",
             escape(row["reason"]),
         ]
-        for row in study.classes
+        for row in study.sharing.classes.rows
     ]
     return table(
         ["Parameter", "Class (paper)", "By exact interval", "By trials", "Determined", "Verdict", "Why"],
@@ -714,7 +793,7 @@ def _classes(study: Study) -> str:
 def _refinements(study: Study) -> str:
     """What the priors are worth for someone unseen: as they are, refined, and beside a full calibration."""
     rows = []
-    for record in study.refined:
+    for record in study.sharing.refined:
         for trial, found in record["trials"].items():
             full, against = found["full"], found["against_full"]
             rows.append(
@@ -728,11 +807,11 @@ def _refinements(study: Study) -> str:
                     percent(against["evaluations_over_best_restart"], 0) if against else _DASH,
                 ]
             )
-    waiting = [f"{r['subject']}: {r['status']}." for r in study.refined if not r["trials"]]
+    waiting = [f"{r['subject']}: {r['status']}." for r in study.sharing.refined if not r["trials"]]
     markup = "".join(paragraph(text) for text in waiting)
     if not rows:
         return markup
-    free = study.refined[0]["free"]
+    free = study.sharing.refined[0]["free"]
     return markup + table(
         [
             "Person, trial",
@@ -753,11 +832,14 @@ def _refinements(study: Study) -> str:
 def _regression(study: Study) -> str:
     """Does the body predict a parameter, or how many people it takes to ask."""
     body = _listed(
-        [_words(name) for name in dict.fromkeys(row["predictor"] for row in study.anthropometrics)]
+        [
+            _words(name)
+            for name in dict.fromkeys(row["predictor"] for row in study.sharing.anthropometrics.rows)
+        ]
     )
-    states = Counter(row["status"] for row in study.anthropometrics)
+    states = Counter(row["status"] for row in study.sharing.anthropometrics.rows)
     told = "; ".join(status for status in states if status != "ok")
-    known = [row for row in study.anthropometrics if row["status"] == "ok"]
+    known = [row for row in study.sharing.anthropometrics.rows if row["status"] == "ok"]
     if not known:
         return paragraph(f"Regression on {body}: {told or 'none asked for'}.")
     rows = [
@@ -810,44 +892,62 @@ def _diagnoses(study: Study) -> str:
 
 def _validation(study: Study) -> str:
     """Tables II and III, and whether the twins are worth comparing."""
+    walking = study.walking
+    return section(
+        "validation",
+        "Validation on an unseen person",
+        f'<div class="grid">{_figure(study, "interface")}{_figure(study, "gait")}</div>',
+        _bars(study),
+        _interface_table(study),
+        _gait_table(study),
+        _file(
+            walking.interface, walking.gait, *([walking.bars] if walking.bars and walking.bars.rows else [])
+        ),
+    )
 
-    def with_sd(row: Row, key: str) -> str:
-        spread = row[f"{key}_seed_sd"]
-        return _value(row[key]) + (f" <span class='small'>± {_value(spread, 2)}</span>" if spread else "")
 
-    sway = [
+def _with_sd(row: Row, key: str) -> str:
+    spread = row[f"{key}_seed_sd"]
+    return _value(row[key]) + (f" <span class='small'>± {_value(spread, 2)}</span>" if spread else "")
+
+
+def _interface_table(study: Study) -> str:
+    rows = [
         [
             escape(_words(row["condition"])),
-            *(with_sd(row, f"sigma_{axis}_mm") for axis in "xyz"),
-            with_sd(row, "gamma"),
+            *(_with_sd(row, f"sigma_{axis}_mm") for axis in "xyz"),
+            _with_sd(row, "gamma"),
             *(_value(row[f"published_sigma_{axis}_mm"]) for axis in "xyz"),
             _value(row["published_gamma"]),
         ]
-        for row in study.interface
+        for row in study.walking.interface.rows
     ]
     spreads = [f"\N{GREEK SMALL LETTER SIGMA} {axis} [mm]" for axis in "xyz"]
     gamma = "\N{GREEK SMALL LETTER GAMMA}"
     head = ["Condition", *spreads, gamma, *(f"Published {name}" for name in (*spreads, gamma))]
-    table2 = table(
+    return table(
         head,
-        sway,
+        rows,
         caption="Spread of the interface midpoint about the pelvis while walking with the robot, mean and SD over "
         "seeds. Paper: Table II.",
         numeric=range(1, len(head)),
     )
-    motion = [
+
+
+def _gait_table(study: Study) -> str:
+    rows = [
         [
             escape(f"{_words(row['joint'])}, {_words(row['condition'])}"),
-            with_sd(row, "rom_deg"),
-            with_sd(row, "rom_change_deg"),
-            with_sd(row, "peak_deg"),
+            _with_sd(row, "rom_deg"),
+            _with_sd(row, "rom_change_deg"),
+            _with_sd(row, "peak_deg"),
             _value(row["r_walk_robot"]),
             _value(row["published_rom_deg"]),
             _value(row["published_peak_deg"]),
         ]
-        for row in study.gait
+        for row in study.walking.gait.rows
     ]
-    table3 = table(
+    return table(
         [
             "Joint, condition",
             "Range [deg]",
@@ -857,28 +957,20 @@ def _validation(study: Study) -> str:
             "Published range [deg]",
             "Published peak [deg]",
         ],
-        motion,
+        rows,
         caption="Range of motion, its change by the robot, peak angle, and correlation with the person's own walk with "
         "the robot; mean and SD over seeds. Paper: Table III.",
         numeric=(1, 2, 3, 4, 5, 6),
-    )
-    return section(
-        "validation",
-        "Validation on an unseen person",
-        f'<div class="grid">{_figure(study, "interface")}{_figure(study, "gait")}</div>',
-        _bars(study),
-        table2,
-        table3,
-        _file(study, "interface", "gait", *(["bars"] if study.bars else [])),
     )
 
 
 def _bars(study: Study) -> str:
     """Is the simulated walker one to believe: its bars, missed ones by name."""
-    if not study.bars:
+    bars = study.walking.bars.rows if study.walking.bars else []
+    if not bars:
         return paragraph("No twin was trained for this study: the tables hold what the paper prints.")
-    missed = _of(study.bars, met="false")
-    count = f"{len(study.bars) - len(missed)} of {len(study.bars)} bars of the simulated walkers are met."
+    missed = _of(bars, met="false")
+    count = f"{len(bars) - len(missed)} of {len(bars)} bars of the simulated walkers are met."
     if not missed:
         return paragraph(count)
     rows = [
@@ -905,9 +997,9 @@ _JUDGED = {
 
 
 def _claims(study: Study) -> str:
-    counts = Counter(row["verdict"] for row in study.claims)
+    counts = Counter(row["verdict"] for row in study.claims.rows)
     rows = []
-    for row in study.claims:
+    for row in study.claims.rows:
         kind = next((k for start, k in _JUDGED.items() if row["verdict"].startswith(start)), "warned")
         rows.append(
             [
@@ -923,14 +1015,14 @@ def _claims(study: Study) -> str:
     return section(
         "claims",
         "What the paper claims, and what is found here",
-        paragraph(f"{len(study.claims)} claims: {summary}."),
+        paragraph(f"{len(study.claims.rows)} claims: {summary}."),
         table(
             ["The paper says", "Published", "Here", "Unit", "Verdict", "Reason"],
             rows,
             caption="Every quantitative claim of the paper. Its own criterion stands in the file",
             numeric=(1, 2),
         ),
-        _file(study, "claims"),
+        _file(study.claims),
     )
 
 
@@ -954,12 +1046,12 @@ def _distinct(values: Sequence[str]) -> str:
 
 
 def _provenance(study: Study) -> str:
-    records = [fit["provenance"] for fit in study.fits]
+    records = [fit["provenance"] for fit in study.identification.fits]
     packages = [", ".join(f"{name} {v}" for name, v in p["packages"].items()) for p in records]
     facts = [
-        f"{len(study.fits)} fits by code {_distinct([p['code_fingerprint'] for p in records])}; Python "
+        f"{len(study.identification.fits)} fits by code {_distinct([p['code_fingerprint'] for p in records])}; Python "
         f"{_distinct([p['python'] for p in records])}; {_distinct(packages)}.",
-        f"Search: {_distinct([_search(fit) for fit in study.fits])}.",
+        f"Search: {_distinct([_search(fit) for fit in study.identification.fits])}.",
     ]
     inputs = {path: digest_ for p in records for path, digest_ in p["inputs_sha256"].items()}
     rows = [
@@ -970,7 +1062,7 @@ def _provenance(study: Study) -> str:
     files = table(["File", "SHA-256 (first 16)"], rows, caption="Files that the fits rest on") if rows else ""
     return (
         '<footer>\n<h2 id="provenance">Provenance</h2>\n'
-        + "\n".join(paragraph(text) for text in facts if study.fits)
+        + "\n".join(paragraph(text) for text in facts if study.identification.fits)
         + (folded(f"{len(rows)} input files", files) if files else "")
         + (
             paragraph(f"{len(inputs)} input files; each fit file names its own.")

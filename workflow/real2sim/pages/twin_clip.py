@@ -99,7 +99,7 @@ def twin_clip(
     limits: Path,
     neutral: Path,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
     backend: str = "egl",
     seconds: float = 6.0,

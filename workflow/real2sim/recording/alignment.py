@@ -90,7 +90,8 @@ def pelvis_of_coordinates(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, n
 def angular_speed(rotation: np.ndarray, rate_hz: float) -> np.ndarray:
     """Angular speed [rad/s] (n,) of rotations (n, 3, 3)."""
     slope = derivative(rotation.reshape(len(rotation), 9), rate_hz)
-    return np.sqrt(np.sum(slope**2, axis=1) / 2)
+    speed: np.ndarray = np.sqrt(np.sum(slope**2, axis=1) / 2)
+    return speed
 
 
 def correlate(ours: np.ndarray, other: np.ndarray) -> tuple[int, float]:
@@ -193,7 +194,7 @@ def align_pelvis(
     with_time: bool = True,
     with_drift: bool = True,
 ) -> tuple[TimeFit, SpaceFit]:
-    """Time and space between two measurements of one pelvis, in one least-squares problem.
+    """Fit time and space between two measurements of one pelvis, in one least-squares problem.
 
     Unknown are offset, drift, rotation and translation between the grounds, and those between the pelvis
     frames, which are constant: walking at even speed, an offset looks like a translation, so they cannot
@@ -222,17 +223,7 @@ def align_pelvis(
         residual, jacobian = _pelvis_system(
             pose, t_other, t - middle, r_ours, p_ours, ground, shift, body, lever
         )
-        weight = max(float(residual @ residual) / len(residual), 1e-12)
-        normal = jacobian.T @ jacobian / weight
-        gradient = jacobian.T @ residual / weight
-        # Standing still, ground and body frame cannot be told apart: a weak prior keeps the body's small.
-        prior = np.repeat([_FRAME_PRIOR_RAD, _FRAME_PRIOR_M], 3) ** -2
-        normal[range(8, 14), range(8, 14)] += prior
-        gradient[8:] += prior * np.concatenate([Rotation.from_matrix(body).as_rotvec(), lever])
-        inverse = np.linalg.pinv(normal[np.ix_(columns, columns)], rcond=1e-13, hermitian=True)
-        step = np.zeros(14)
-        step[columns] = -inverse @ gradient[columns]
-        variance[columns] = _variances(inverse, residual, jacobian[:, columns] / weight, t)
+        step, variance[columns] = _pelvis_step(residual, jacobian, columns, t, body, lever)
         offset_s, drift = offset_s + float(np.clip(step[0], -0.1, 0.1)), drift + float(step[1])
         ground = Rotation.from_rotvec(step[2:5]).as_matrix() @ ground
         shift = shift + step[5:8]
@@ -248,6 +239,28 @@ def align_pelvis(
     sd = np.sqrt(np.maximum(variance, 0))
     time_fit = TimeFit(float(offset_s), float(drift), float(sd[0]), float(sd[1]), correlation, middle)
     return time_fit, SpaceFit(ground, shift, body, lever, rms_m, rms_rad)
+
+
+def _pelvis_step(
+    residual: np.ndarray,
+    jacobian: np.ndarray,
+    columns: list[int],
+    t: np.ndarray,
+    body: np.ndarray,
+    lever: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Newton step (14,), 0 where an unknown is not among ``columns``, and the variances of those."""
+    weight = max(float(residual @ residual) / len(residual), 1e-12)
+    normal = jacobian.T @ jacobian / weight
+    gradient = jacobian.T @ residual / weight
+    # Standing still, ground and body frame cannot be told apart: a weak prior keeps the body's small.
+    prior = np.repeat([_FRAME_PRIOR_RAD, _FRAME_PRIOR_M], 3) ** -2
+    normal[range(8, 14), range(8, 14)] += prior
+    gradient[8:] += prior * np.concatenate([Rotation.from_matrix(body).as_rotvec(), lever])
+    inverse = np.linalg.pinv(normal[np.ix_(columns, columns)], rcond=1e-13, hermitian=True)
+    step = np.zeros(14)
+    step[columns] = -inverse @ gradient[columns]
+    return step, _variances(inverse, residual, jacobian[:, columns] / weight, t)
 
 
 def _pelvis_system(
@@ -299,7 +312,8 @@ def _variances(inverse: np.ndarray, residual: np.ndarray, jacobian: np.ndarray, 
 
 def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     u, _, vt = np.linalg.svd(matrix)
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    rotation: np.ndarray = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation
 
 
 def rebuild_point(points: np.ndarray, model: np.ndarray, missing: int) -> np.ndarray:
@@ -310,4 +324,5 @@ def rebuild_point(points: np.ndarray, model: np.ndarray, missing: int) -> np.nda
     u, _, vt = np.linalg.svd(np.swapaxes(measured - centre[:, None], 1, 2) @ (reference - origin))
     sign = np.linalg.det(u @ vt)
     u[:, :, 2] *= sign[:, None]
-    return centre + (u @ vt) @ (model[missing] - origin)
+    rebuilt: np.ndarray = centre + (u @ vt) @ (model[missing] - origin)
+    return rebuilt

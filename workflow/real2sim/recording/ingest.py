@@ -27,6 +27,9 @@ WRENCH = ("wrench_fx", "wrench_fy", "wrench_fz", "wrench_tx", "wrench_ty", "wren
 _XYZ = ("x", "y", "z")
 _TRANSLATIONAL = {"tx", "ty", "tz"}
 
+# Columns of a table by name: values (n,), unit and frame
+Columns = dict[str, tuple[np.ndarray, str, str]]
+
 
 @dataclass
 class _Trial:
@@ -35,7 +38,7 @@ class _Trial:
     subject: str
     name: str
     phantom: bool
-    settings: dict
+    settings: dict[str, Any]
     tsv: Path
     mot: Path
     log: Path | None
@@ -48,7 +51,7 @@ class _Trial:
 # -------------------- markers
 
 
-def _load_markers(trial: _Trial, marker_names: dict) -> MarkerRecording:
+def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecording:
     """Markers by our names in the world frame, gated."""
     recording = read_markers(trial.tsv)
     trial.findings.extend(recording.findings)
@@ -152,7 +155,7 @@ def _check_jumps(trial: _Trial, positions: dict[str, np.ndarray]) -> None:
 
 
 def _repair_swaps(
-    trial: _Trial, recording: MarkerRecording, reference: dict | None
+    trial: _Trial, recording: MarkerRecording, reference: dict[str, Any] | None
 ) -> tuple[MarkerRecording, float | None]:
     """Labels exchanged back where that is unambiguous; and the distance of the interface markers [m] at rest."""
     if reference is None:
@@ -294,8 +297,8 @@ def _rest(r: np.ndarray, p: np.ndarray, trial: _Trial) -> dict[str, Any]:
 
 
 def _joints(
-    trial: _Trial, clock: np.ndarray, r_pelvis: np.ndarray, p_pelvis: np.ndarray, marker_names: dict
-) -> tuple[dict[str, tuple[np.ndarray, str, str]], dict[str, Any]]:
+    trial: _Trial, clock: np.ndarray, r_pelvis: np.ndarray, p_pelvis: np.ndarray, marker_names: dict[str, str]
+) -> tuple[Columns, dict[str, Any]]:
     """Coordinates, or landmarks, on the Qualisys clock, and how time and space were laid on each other."""
     recording = read_markerless(trial.mot)
     trial.findings.extend(recording.findings)
@@ -345,7 +348,7 @@ def _coordinate_pelvis(trial: _Trial, recording: CoordinateRecording) -> alignme
 
 
 def _landmarks(
-    trial: _Trial, recording: MarkerRecording, marker_names: dict
+    trial: _Trial, recording: MarkerRecording, marker_names: dict[str, str]
 ) -> tuple[dict[str, np.ndarray], alignment.PelvisPath]:
     """Columns ``<landmark>_x/_y/_z`` [m, as in the file], and the pelvis of its four landmarks, z up."""
     points: dict[str, np.ndarray] = {}
@@ -384,23 +387,8 @@ def _fit_markerless(
     A drift is corrected only where it is large enough to matter and certain enough to be believed.
     """
     settings = trial.settings["markerless"]
-    if len(other.time_s) < 10 or not (
-        np.isfinite(other.position).all() and np.isfinite(other.rotation).all()
-    ):
-        found = f"{len(other.time_s)} rows, or missing values in the pelvis"
-        raise InputError(
-            trial.mot, "", found, "the pelvis throughout the trial", "export the trial again", "pelvis_gaps"
-        )
-    if not (np.isfinite(r_pelvis).all(axis=(1, 2)) & signals.known(p_pelvis)).any():
-        raise InputError(
-            trial.tsv,
-            "",
-            "no sample with a pelvis pose",
-            "the pelvis",
-            "relabel the markers in QTM",
-            "pelvis_unknown",
-        )
     ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
+    _check_pelvises(trial, ours, other)
     offset, correlation = alignment.coarse_offset(ours, other)
     synchronised = correlation >= settings["min_correlation"]
     if not synchronised:
@@ -431,6 +419,26 @@ def _fit_markerless(
         trial.note("markerless_drift", "warning", trial.mot, "", message, "corrected")
         return time_fit, space_fit, drift
     return *fit(False), drift
+
+
+def _check_pelvises(trial: _Trial, ours: alignment.PelvisPath, other: alignment.PelvisPath) -> None:
+    """Refuse a markerless pelvis with gaps, and markers that never show the pelvis."""
+    if len(other.time_s) < 10 or not (
+        np.isfinite(other.position).all() and np.isfinite(other.rotation).all()
+    ):
+        found = f"{len(other.time_s)} rows, or missing values in the pelvis"
+        raise InputError(
+            trial.mot, "", found, "the pelvis throughout the trial", "export the trial again", "pelvis_gaps"
+        )
+    if not (np.isfinite(ours.rotation).all(axis=(1, 2)) & signals.known(ours.position)).any():
+        raise InputError(
+            trial.tsv,
+            "",
+            "no sample with a pelvis pose",
+            "the pelvis",
+            "relabel the markers in QTM",
+            "pelvis_unknown",
+        )
 
 
 # -------------------- robot
@@ -559,9 +567,7 @@ def _arm_up(
 # -------------------- files
 
 
-def _write_table(
-    path: Path, trial: _Trial, columns: dict[str, tuple[np.ndarray, str, str]], extra: dict
-) -> None:
+def _write_table(path: Path, trial: _Trial, columns: Columns, extra: dict[str, Any]) -> None:
     """Parquet with unit and frame per column; ``columns`` maps a name to values, unit, frame."""
     import pyarrow
     import pyarrow.parquet
@@ -594,8 +600,8 @@ def _arrow(values: np.ndarray) -> Any:
 
 def _marker_columns(
     clock: np.ndarray, positions: dict[str, np.ndarray], flags: dict[str, np.ndarray]
-) -> dict[str, tuple[np.ndarray, str, str]]:
-    columns = {"time_s": (clock, "s", "qualisys")}
+) -> Columns:
+    columns: Columns = {"time_s": (clock, "s", "qualisys")}
     for name, values in positions.items():
         columns |= {f"{name}_{axis}": (values[:, i], "m", "world") for i, axis in enumerate(_XYZ)}
         columns[f"{name}_filled"] = (flags[name], "", "")
@@ -604,8 +610,8 @@ def _marker_columns(
 
 def _pose_columns(
     clock: np.ndarray, poses: dict[str, tuple[np.ndarray, np.ndarray]], q: np.ndarray, rate_hz: float
-) -> dict[str, tuple[np.ndarray, str, str]]:
-    columns = {"time_s": (clock, "s", "qualisys")}
+) -> Columns:
+    columns: Columns = {"time_s": (clock, "s", "qualisys")}
     for name, (rotation, origin) in poses.items():
         columns |= {f"{name}_{axis}": (origin[:, i], "m", "world") for i, axis in enumerate(_XYZ)}
         quaternion = geometry.quaternion(rotation)
@@ -633,6 +639,10 @@ _ROBOT_UNITS = {
 } | {name: ("N" if "_f" in name else "N m", "sensor") for name in WRENCH}
 
 
+def _robot_columns(robot: dict[str, np.ndarray]) -> Columns:
+    return {name: (values, *_ROBOT_UNITS[name]) for name, values in robot.items()}
+
+
 # -------------------- stages
 
 
@@ -640,20 +650,14 @@ def ingest_trial(
     *,
     subject: str,
     trial: str,
-    tsv: Path,
-    mot: Path,
+    files: TrialFiles,
     neutral: Path | None,
-    log: Path | None,
-    marker_names: dict,
-    settings: dict,
+    marker_names: dict[str, str],
+    settings: dict[str, Any],
     phantom: bool,
-    out_markers: Path,
-    out_pose: Path,
-    out_joints: Path,
-    out_robot: Path,
-    out_quality: Path,
-) -> dict:
-    """One trial's raw exports to tables on the Qualisys clock (contract, sections 3 and 4).
+    out: Path,
+) -> dict[str, Any]:
+    """Write one trial's raw exports as tables on the Qualisys clock, and return what its quality.json says.
 
     Parameters
     ----------
@@ -663,47 +667,33 @@ def ingest_trial(
         The lab's marker names and ours for them.
     settings
         The slice ``ingest`` of the configuration.
+    out
+        Folder for markers, pose, joints and robot.parquet (SI units; unit and frame of each column in the metadata)
+        and quality.json.
 
-    Returns what is written to ``out_quality``. Raises InputError where a file cannot be used.
+    Raises InputError where a file cannot be used.
     """
-    work = _Trial(subject, trial, phantom, settings, tsv, mot, log, [])
+    work = _Trial(subject, trial, phantom, settings, files.markers, files.markerless, files.log, [])
     reference = None if neutral is None else read_json(neutral, ("rest", "pelvis_geometry"))
     recording, width = _repair_swaps(work, _load_markers(work, marker_names), reference)
     clock, positions, flags, marker_report = _filter_markers(work, recording)
-    if len(clock) < 10:
-        remedy = "record the trial again"
-        raise InputError(work.tsv, "", f"{len(clock)} samples", "at least 0.1 s", remedy, "too_short")
     _check_geometry(work, positions, reference)
     model = reference["pelvis_geometry"] if reference else _pelvis_geometry(positions)
-    r_pelvis, p_pelvis = _pelvis(work, clock, positions, model)
+    pelvis = _pelvis(work, clock, positions, model)
     robot, up, robot_report = _robot(work, clock, positions)
-    joints, markerless_report = _joints(work, clock, r_pelvis, p_pelvis, marker_names)
+    joints, markerless_report = _joints(work, clock, *pelvis, marker_names)
+    interface = _interface(clock, positions, up)
+    q, rest = _interface_coordinates(work, pelvis, interface, reference)
 
-    nothing = np.full((len(clock), 3, 3), np.nan)
-    r_interface, p_interface = nothing, nothing[:, 0]
-    if set(geometry.INTERFACE_MARKERS) <= set(positions):
-        r_interface, p_interface = geometry.interface_frame(positions["IF_L"], positions["IF_R"], up)
-    r, p = geometry.relative_pose(r_pelvis, p_pelvis, r_interface, p_interface)
-    rest = reference["rest"] if reference else _rest(r, p, work)
-    q = geometry.interface_coordinates(r, p, np.array(rest["rotation"]), np.array(rest["position"]))
-
-    poses = {"pelvis": (r_pelvis, p_pelvis), "interface": (r_interface, p_interface)}
-    _write_table(out_markers, work, _marker_columns(clock, positions, flags), {})
-    _write_table(out_pose, work, _pose_columns(clock, poses, q, settings["rate_hz"]), {"rest": rest})
-    _write_table(out_joints, work, {"time_s": (clock, "s", "qualisys")} | joints, {})
-    robot_columns = {"time_s": (clock, "s", "qualisys")}
-    robot_columns |= {name: (values, *_ROBOT_UNITS[name]) for name, values in robot.items()}
+    poses = _pose_columns(clock, {"pelvis": pelvis, "interface": interface}, q, settings["rate_hz"])
+    time: Columns = {"time_s": (clock, "s", "qualisys")}
     yaw = {key: value for key, value in robot_report.items() if key == "yaw_odom_to_world_rad"}
-    _write_table(out_robot, work, robot_columns, yaw)
+    _write_table(out / "markers.parquet", work, _marker_columns(clock, positions, flags), {})
+    _write_table(out / "pose.parquet", work, poses, {"rest": rest})
+    _write_table(out / "joints.parquet", work, time | joints, {})
+    _write_table(out / "robot.parquet", work, time | _robot_columns(robot), yaw)
 
-    quality: dict[str, Any] = {
-        "subject": subject,
-        "trial": trial,
-        "phantom": phantom,
-        "samples": len(clock),
-        "duration_s": float(clock[-1] - clock[0]),
-        "interface_known": float(np.isfinite(q).all(axis=1).mean()),
-        "findings": [asdict(finding) for finding in work.findings],
+    quality = _summary(work, clock, q) | {
         "markers": marker_report,
         "markerless": markerless_report,
         "robot": robot_report,
@@ -712,14 +702,57 @@ def ingest_trial(
     if reference is None:
         quality |= {"rest": rest, "pelvis_geometry": model, "standing_sd_m": _standing_noise(recording)}
         quality["interface_width_m"] = width
-    raw = [path for path in (work.tsv, work.mot, work.log) if path is not None]
-    quality |= {"sha256": {path.name: sha256(path) for path in raw}, "settings": settings}
-    write_json(out_quality, quality)
+    quality |= _sources(work)
+    write_json(out / "quality.json", quality)
     return quality
 
 
-def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: dict | None) -> None:
-    """Refuse a trial without one sample at which the pelvis, or pelvis and interface, are known."""
+def _interface(
+    clock: np.ndarray, positions: dict[str, np.ndarray], up: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (n, 3, 3) and origin (n, 3) [m] of the interface in the world; NaN without its two markers."""
+    if set(geometry.INTERFACE_MARKERS) <= set(positions):
+        return geometry.interface_frame(positions["IF_L"], positions["IF_R"], up)
+    nothing = np.full((len(clock), 3, 3), np.nan)
+    return nothing, nothing[:, 0]
+
+
+def _interface_coordinates(
+    work: _Trial,
+    pelvis: tuple[np.ndarray, np.ndarray],
+    interface: tuple[np.ndarray, np.ndarray],
+    reference: dict[str, Any] | None,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Interface coordinates q (n, 6) [m, rad] and the rest pose from which they count."""
+    r, p = geometry.relative_pose(*pelvis, *interface)
+    rest: dict[str, Any] = reference["rest"] if reference else _rest(r, p, work)
+    q = geometry.interface_coordinates(r, p, np.array(rest["rotation"]), np.array(rest["position"]))
+    return q, rest
+
+
+def _summary(work: _Trial, clock: np.ndarray, q: np.ndarray) -> dict[str, Any]:
+    return {
+        "subject": work.subject,
+        "trial": work.name,
+        "phantom": work.phantom,
+        "samples": len(clock),
+        "duration_s": float(clock[-1] - clock[0]),
+        "interface_known": float(np.isfinite(q).all(axis=1).mean()),
+        "findings": [asdict(finding) for finding in work.findings],
+    }
+
+
+def _sources(work: _Trial) -> dict[str, Any]:
+    raw = [path for path in (work.tsv, work.mot, work.log) if path is not None]
+    return {"sha256": {path.name: sha256(path) for path in raw}, "settings": work.settings}
+
+
+def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: dict[str, Any] | None) -> None:
+    """Refuse a trial that is too short, and one without a sample at which the pelvis is known."""
+    samples = len(next(iter(positions.values())))
+    if samples < 10:
+        remedy = "record the trial again"
+        raise InputError(work.tsv, "", f"{samples} samples", "at least 0.1 s", remedy, "too_short")
     points = np.stack([positions[name] for name in geometry.PELVIS_MARKERS], axis=1)
     needed = 4 if reference is None else 3
     if not (np.isfinite(points).all(axis=2).sum(axis=1) >= needed).any():
@@ -735,8 +768,10 @@ def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: d
         )
 
 
-def ingest_subject(*, subject: str, folder: Path, settings: dict, raw: list[Path], out: Path) -> None:
-    """All trials of one person: ``<out>/<TRIAL>/{markers,pose,joints,robot}.parquet, quality.json``.
+def ingest_subject(
+    *, subject: str, folder: Path, settings: dict[str, Any], raw: list[Path], out: Path
+) -> None:
+    """Write the tables of all trials of one person to ``<out>/<TRIAL>/``, see `ingest_trial`.
 
     ``neutral`` comes first, for the rest pose. ``raw`` lists the person's files as the workflow saw them; the
     trials that `subject.yaml` excludes are left out. Raises InputError where a file cannot be used.
@@ -745,22 +780,15 @@ def ingest_subject(*, subject: str, folder: Path, settings: dict, raw: list[Path
     _check_files(person.trials, folder, raw)
     neutral = out / "neutral" / "quality.json"
     for trial in sorted(person.trials, key=lambda name: (name != "neutral", name)):
-        files, target = person.trials[trial], out / trial
         quality = ingest_trial(
             subject=subject,
             trial=trial,
-            tsv=files.markers,
-            mot=files.markerless,
+            files=person.trials[trial],
             neutral=None if trial == "neutral" else neutral,
-            log=files.log,
             marker_names=person.markers,
             settings=settings,
             phantom=person.phantom,
-            out_markers=target / "markers.parquet",
-            out_pose=target / "pose.parquet",
-            out_joints=target / "joints.parquet",
-            out_robot=target / "robot.parquet",
-            out_quality=target / "quality.json",
+            out=out / trial,
         )
         warnings = sum(finding["severity"] != "info" for finding in quality["findings"])
         markerless = quality["markerless"]

@@ -90,7 +90,7 @@ class Subject:
 def parse_trial(name: str) -> tuple[str, int | None]:
     """Kind of a trial and its tightness level [cm] or number; None for ``neutral``.
 
-    Raises ValueError if the name does not fit the grammar (contract, section 1).
+    Raises ValueError unless the name fits `TRIAL_GRAMMAR`.
     """
     match = _TRIAL.fullmatch(name)
     if not match:

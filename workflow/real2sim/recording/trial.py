@@ -46,7 +46,7 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
     Parameters
     ----------
     pose, markers
-        Parquet files of the contract, section 4.
+        The trial's pose.parquet and markers.parquet, as `ingest.ingest_trial` writes them.
     start_window_s
         Span of quiet standing at the start over which the start pose is averaged [s].
     settle_s
@@ -112,7 +112,7 @@ def load_limits(path: Path) -> JointLimits:
     return JointLimits(np.array(content["q_min"], float), np.array(content["q_max"], float))
 
 
-def with_step(settings: dict, step: Path) -> dict:
+def with_step(settings: dict[str, Any], step: Path) -> dict[str, Any]:
     """Settings whose ``plant.timestep_s`` is the one that a person's step study chose."""
     chosen = read_json(step, ("timestep_s",))["timestep_s"]
     return settings | {"plant": settings["plant"] | {"timestep_s": chosen}}
@@ -134,7 +134,9 @@ class TrialModel:
         return np.concatenate([self.cost(self.replay.run(part)).total for part in parts])
 
 
-def replay_inputs(trial: Trial, limits: JointLimits | None, robot: Path, settings: dict) -> dict[str, Any]:
+def replay_inputs(
+    trial: Trial, limits: JointLimits | None, robot: Path, settings: dict[str, Any]
+) -> dict[str, Any]:
     """What every kind of `Replay` takes of a trial; ``settings`` has the slices ``plant`` and ``robot``."""
     return {
         "robot": robot,
@@ -154,7 +156,7 @@ def replay_of(
     trial: Trial,
     limits: JointLimits | None,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     *,
     nsim: int,
     scale: dict[str, float] | None = None,
@@ -165,7 +167,14 @@ def replay_of(
 
 
 def trial_model(
-    *, pose: Path, markers: Path, limits: Path, robot: Path, settings: dict, nsim: int, threads: int = 1
+    *,
+    pose: Path,
+    markers: Path,
+    limits: Path,
+    robot: Path,
+    settings: dict[str, Any],
+    nsim: int,
+    threads: int = 1,
 ) -> TrialModel:
     """Prepare a trial for replays of at most ``nsim`` simulations a call, on ``threads`` threads.
 

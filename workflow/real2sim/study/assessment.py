@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
-from real2sim.inference.identifiability import AT_BOUND, NoiseTerms, assess
+from real2sim.inference.identifiability import AT_BOUND, Assessment, NoiseTerms, assess
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_vector, unit
 from real2sim.provenance import fingerprint
 from real2sim.recording.quality.verdict import overridden_gates, overridden_trials
@@ -19,12 +20,14 @@ from real2sim.study.fit import best_of
 from real2sim.system.plant import INERTIAL_CONSTANTS
 from real2sim.system.replay import Replay
 
-# A change of ten per cent, in ln-units
-TEN_PERCENT = float(np.log(1.1))
+# Slice ``robot`` of the configuration: group of joints, axis, stiffness and damping
+Controllers = dict[str, dict[str, dict[str, float]]]
 
 
-def with_pelvis_noise(trial: Trial, noise_m: np.ndarray, settings: dict, rng: np.random.Generator) -> Trial:
-    """A trial whose pelvis markers carry more noise: white, SD (4,) [m], through the pipeline's own low-pass."""
+def with_pelvis_noise(
+    trial: Trial, noise_m: np.ndarray, settings: dict[str, Any], rng: np.random.Generator
+) -> Trial:
+    """Return a trial whose pelvis markers carry more noise: white, SD (4,) [m], through the pipeline's own low-pass."""
     rate = 1 / float(trial.time_s[1] - trial.time_s[0])
     white = noise_m[:, None] * rng.standard_normal(trial.pelvis_markers.shape)
     smooth = lowpass(white.reshape(len(white), -1), rate, settings["cutoff_hz"], settings["filter_order"])
@@ -54,7 +57,7 @@ class InputNoise:
         MJCF and the slices ``identifiability``, ``ingest``, ``plant`` and ``robot`` of the configuration.
     """
 
-    def __init__(self, model: TrialModel, noise_m: np.ndarray, *, robot: Path, settings: dict):
+    def __init__(self, model: TrialModel, noise_m: np.ndarray, *, robot: Path, settings: dict[str, Any]):
         options = settings["identifiability"]
         rng = np.random.default_rng(options["seed"])
         trials = [
@@ -70,7 +73,7 @@ class InputNoise:
         return np.concatenate([self._model.cost.residuals(replay.run(part)) for part in parts])
 
     def __call__(self, z: np.ndarray) -> NoiseTerms:
-        """Terms at ln-parameters z (12,)."""
+        """Return the terms at ln-parameters z (12,): means over the draws of the noise."""
         points = np.vstack([z, z + self._step * np.eye(12)])
         clean = self._residuals(self._model.replay, points)
         score, curvature = np.zeros(12), np.zeros((12, 12))
@@ -89,9 +92,9 @@ def robot_sensitivity(
     free: np.ndarray,
     *,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
 ) -> dict[str, dict[str, float]]:
-    """How much each parameter moves, in per cent, if an assumed constant of the robot is 10 % larger.
+    """Return how far each parameter moves, in per cent, if an assumed constant of the robot is 10 % larger.
 
     To first order: -(GᵀG)^-1 Gᵀ dr, with dr the central difference of the residuals over the constant. Constants are
     the controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out.
@@ -105,14 +108,14 @@ def robot_sensitivity(
     ]
     out: dict[str, dict[str, float]] = {}
 
-    def residual(changed: dict, scale: dict[str, float] | None) -> np.ndarray:
+    def residual(changed: Controllers, scale: dict[str, float] | None) -> np.ndarray:
         replay = replay_of(
             model.trial, model.limits, robot, settings | {"robot": changed}, nsim=1, scale=scale
         )
-        return model.cost.residuals(replay.run(parameters[None]))[0]
+        return np.asarray(model.cost.residuals(replay.run(parameters[None]))[0])
 
-    def changed_controller(group: str, axis: str, kind: str, factor: float) -> dict:
-        own = settings["robot"]
+    def changed_controller(group: str, axis: str, kind: str, factor: float) -> Controllers:
+        own: Controllers = settings["robot"]
         one = own[group][axis] | {kind: own[group][axis][kind] * factor}
         return own | {group: own[group] | {axis: one}}
 
@@ -136,10 +139,10 @@ def assess_model(
     noise_m: np.ndarray | None,
     *,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     fitted: np.ndarray | None = None,
-) -> dict:
-    """Verdicts on a fit (12,) of a trial, with intervals corrected for the noise of the input.
+) -> Assessment:
+    """Return verdicts on a fit (12,) of a trial, with intervals corrected for the noise of the input.
 
     ``settings`` has the slices ``identification``, ``identifiability``, ``plant``, ``robot`` and ``ingest``;
     ``fitted`` lists the indices of the parameters that were fitted, all by default;
@@ -161,13 +164,18 @@ def assess_model(
     return result
 
 
-def marker_noise(quality: Path) -> np.ndarray | None:
-    """SD (4,) of the white noise of the pelvis markers [m] in a trial's quality.json; None if one is not known."""
+def pelvis_marker_noise(quality: Path) -> np.ndarray | None:
+    """Return the SD (4,) [m] of the pelvis markers' white noise in a trial's quality.json; None if one is not known.
+
+    The ingest estimates it by second differences of the raw export, before the low-pass. The diagnosis uses
+    `recording.noise.marker_noise` instead: the power of the filtered markers between 3 and 7 Hz, which holds also where
+    the lab's own software has filtered the export.
+    """
     markers = read_json(quality, ("markers",))["markers"]
     axes = [markers.get(name, {}).get("noise_sd_m") for name in PELVIS_MARKERS]
     if any(sd is None or None in sd for sd in axes):
         return None
-    return np.sqrt(np.mean(np.square(axes), axis=1))
+    return np.asarray(np.sqrt(np.mean(np.square(axes), axis=1)))
 
 
 def assessment(
@@ -181,10 +189,10 @@ def assessment(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
 ) -> None:
-    """Assess the best restart of one trial.
+    """Assess the best restart of one trial and write what it determines.
 
     ``fits`` are the trial's restarts, ``neutral_quality`` the quality.json of the person's neutral trial, from which
     the noise of the pelvis markers is taken, ``step`` the person's step study.
@@ -193,12 +201,12 @@ def assessment(
     best = best_of(records)
     settings = with_step(settings, step)
     model = trial_model(pose=pose, markers=markers, limits=limits, robot=robot, settings=settings, nsim=13)
-    noise_m = marker_noise(neutral_quality)
+    noise_m = pelvis_marker_noise(neutral_quality)
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     result = assess_model(
         model, as_vector(best["parameters"]), bounds, noise_m, robot=robot, settings=settings
     )
-    jacobian = result.pop("jacobian")
+    jacobian = result["jacobian"]
     free = [i for i, name in enumerate(PARAMETERS) if result["parameters"][name]["verdict"] != AT_BOUND]
     refined = np.array([result["parameters"][name]["value"] for name in PARAMETERS])
     write_json(
@@ -210,7 +218,7 @@ def assessment(
             "restart": best["restart"],
             "phantom": model.trial.phantom,
             "overridden_gates": overridden_gates(records),
-            **result,
+            **{key: value for key, value in result.items() if key != "jacobian"},
             "robot_sensitivity_percent_per_10_percent": robot_sensitivity(
                 model, refined, jacobian, np.array(free), robot=robot, settings=settings
             ),
@@ -241,7 +249,7 @@ TABLE_COLUMNS = (
 
 
 def assessment_table(*, assessments: list[Path], out: Path) -> None:
-    """One row per person, trial and parameter: value, interval, verdict, reason and what would help [SI]."""
+    """Write one row per person, trial and parameter: value, interval, verdict, reason and what would help [SI]."""
     rows = []
     for path in assessments:
         record = read_json(

@@ -7,13 +7,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from real2sim.artefacts import write_json
 from real2sim.errors import InputError
 from real2sim.inference import cmaes, least_squares
-from real2sim.inference.parameters import Bounds, as_dict
+from real2sim.inference.parameters import Bounds, as_dict, as_vector
 from real2sim.inference.result import SearchResult
 from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.quality.verdict import require
@@ -54,7 +55,11 @@ class _Progress:
 
 
 def _search(
-    model: TrialModel, bounds: Bounds, ident: dict, seeds: list[int], progress: Callable[[int, float], None]
+    model: TrialModel,
+    bounds: Bounds,
+    ident: dict[str, Any],
+    seeds: list[int],
+    progress: Callable[[int, float], None],
 ) -> list[SearchResult]:
     """The searches that the configuration asks for, one per seed."""
     if ident["method"] == "cma":
@@ -89,6 +94,11 @@ def _search(
     return results
 
 
+def _batch_size(ident: dict[str, Any], restarts: int) -> int:
+    """Return the number of replays in one batch."""
+    return min(LARGEST_BATCH, ident["population"] * restarts) if ident["method"] == "cma" else BATCH
+
+
 def fit_trial(
     *,
     subject: str,
@@ -99,14 +109,14 @@ def fit_trial(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: list[Path],
     gates: list[Path] | None = None,
     threads: int = 1,
 ) -> None:
     """Identify the 12 interface parameters of one trial from log-uniform starts (paper, section III-B).
 
-    The generations of all restarts are simulated in one batch.
+    All restarts are simulated in one batch.
 
     Parameters
     ----------
@@ -127,47 +137,32 @@ def fit_trial(
     Raises
     ------
     InputError
-        Where a gate refuses one of these trials, or the replay misses the bar of the contract (0.1 mm RMS, 0.1 ms).
+        Where a gate refuses one of these trials, or the replayed pelvis is farther from the measured one than
+        ``plant.replay_bar`` allows (0.1 mm RMS, 0.1 ms).
     """
     overridden = {} if gates is None else require(gates, trial)
     settings = with_step(settings, step)
     ident = settings["identification"]
     bounds = Bounds.from_config(ident["bounds"])
     seeds = [restart_seed(ident["seed"], subject, trial, restart) for restart in restarts]
-    batch = min(LARGEST_BATCH, ident["population"] * len(restarts)) if ident["method"] == "cma" else BATCH
-    model = trial_model(
-        pose=pose,
-        markers=markers,
-        limits=limits,
-        robot=robot,
-        settings=settings,
-        nsim=batch,
-        threads=threads,
-    )
+    batch = _batch_size(ident, len(restarts))
+    tables = {"pose": pose, "markers": markers, "limits": limits}
+    model = trial_model(**tables, robot=robot, settings=settings, nsim=batch, threads=threads)
     model.replay.check_bounds(bounds.upper[6:])
-    label = f"{subject} {trial}, {len(restarts)} restarts" if len(restarts) > 1 else f"{subject} {trial}"
-    progress = _Progress(label, ident["evaluations"] * len(restarts))
-    results = _search(model, bounds, ident, seeds, progress)
+    label = f"{subject} {trial}" + (f", {len(restarts)} restarts" if len(restarts) > 1 else "")
+    results = _search(model, bounds, ident, seeds, _Progress(label, ident["evaluations"] * len(restarts)))
     source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
-    records = [
-        {
-            "schema": 1,
-            "subject": subject,
-            "trial": trial,
-            "restart": restart,
-            "method": ident["method"],
-            "phantom": model.trial.phantom,
-            "overridden_gates": overridden,
-        }
-        | _outcome(model, result, bounds, settings, pose)
-        | {"seed": seed, "settings": settings, "provenance": source}
-        for restart, seed, result in zip(restarts, seeds, results, strict=True)
-    ]
-    for path, record in zip(out, records, strict=True):
-        write_json(path, record)
+    about = {"schema": 1, "subject": subject, "trial": trial, "restart": None, "method": ident["method"]}
+    about |= {"phantom": model.trial.phantom, "overridden_gates": overridden}
+    tail = {"settings": settings, "provenance": source}
+    outcomes = [_outcome(model, result, bounds, settings, pose) for result in results]
+    for path, restart, seed, outcome in zip(out, restarts, seeds, outcomes, strict=True):
+        write_json(path, about | {"restart": restart} | outcome | {"seed": seed} | tail)
 
 
-def _outcome(model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict, pose: Path) -> dict:
+def _outcome(
+    model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict[str, Any], pose: Path
+) -> dict[str, Any]:
     """What a search found, with its replay checked."""
     paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])
     check = replay_check(model.replay, pelvis[0])
@@ -199,13 +194,11 @@ def _outcome(model: TrialModel, result: SearchResult, bounds: Bounds, settings: 
     }
 
 
-def best_of(fits: list[dict]) -> dict:
+def best_of(fits: list[dict[str, Any]]) -> dict[str, Any]:
     """The fit with the lowest cost; ties go to the first restart."""
     return min(fits, key=lambda fit: (fit["cost"]["J"], fit["restart"]))
 
 
-def parameter_array(fits: list[dict]) -> np.ndarray:
+def parameter_array(fits: list[dict[str, Any]]) -> np.ndarray:
     """Parameters of fit records as (m, 12), in the order of `PARAMETERS`."""
-    from real2sim.inference.parameters import as_vector
-
     return np.array([as_vector(fit["parameters"]) for fit in fits])

@@ -12,10 +12,11 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, as_vector
-from real2sim.provenance import fingerprint, provenance
+from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.trial import load_limits, load_trial, replay_of, with_step
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, replayed, to_mjcf, write_replay
-from real2sim.system.plant import STRAP_JOINTS
+from real2sim.system.plant import STRAP_JOINTS, JointLimits, RestPose
+from real2sim.system.replay import Replay, Simulated
 
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
@@ -29,7 +30,7 @@ def export_interface(
     poses: list[Path],
     markers: list[Path],
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
     replay: Path,
     notes: Path,
@@ -62,9 +63,8 @@ def export_interface(
     person = read_json(refined, ("subject", "status", "parameters", "phantom", "trials"))
     name = next(iter(person["trials"]), "neutral")
     pose, measured = next(pair for pair in zip(poses, markers, strict=True) if pair[0].parent.name == name)
-    ident, plant = settings["identification"], settings["plant"]
-    chosen = settings | {"plant": plant | {"timestep_s": _own_step(plant)}}
-    chosen = with_step(settings, step) if step else chosen
+    chosen = with_step(settings, step) if step else _with_own_step(settings)
+    ident = settings["identification"]
     trial = load_trial(
         pose, measured, start_window_s=ident["start_window_s"], settle_s=ident["settle_after_gap_s"]
     )
@@ -75,13 +75,19 @@ def export_interface(
     simulated = model.as_simulated()
     used = [path for path in (refined, pose, robot, limits, step) if path is not None]
     sources = provenance(used, _PACKAGES, fingerprint(__name__))
-    text = to_mjcf(
-        baked(model, simulated),
-        simulated,
-        _header(person, pose.parent.name, replay.name, own_limits is not None),
-        _texts(person, sources),
-        {name: float(value) for name, value in zip(PARAMETERS, values, strict=True)},
-    )
+    header = _header(person, pose.parent.name, replay.name, own_limits is not None)
+    numbers = {name: float(value) for name, value in zip(PARAMETERS, values, strict=True)}
+    text = to_mjcf(baked(model, simulated), simulated, header, _texts(person, sources), numbers)
+    difference = _check_replay(out, text, model, simulated)
+    write_text(out, text)
+    write_replay(replay, model, simulated)
+    about = {"trial": pose.parent.name, "timestep_s": simulated.model.opt.timestep}
+    checked = {"replay_difference_m": difference, "provenance": sources}
+    write_json(notes, _notes(person, about, own_limits, trial.rest) | checked)
+
+
+def _check_replay(out: Path, text: str, model: Replay, simulated: Simulated) -> float:
+    """Return how far [m] the written text moves from the model in process; raise InputError above `REPLAY_BAR_M`."""
     difference = float(np.abs(replayed(text, simulated.control) - model.sites()).max())
     if not difference <= REPLAY_BAR_M:
         raise InputError(
@@ -91,34 +97,38 @@ def export_interface(
             f"at most {REPLAY_BAR_M:g} m",
             "Report it with the robot twin: the export does not hold one of its elements.",
         )
-    write_text(out, text)
-    write_replay(replay, model, simulated)
-    write_json(
-        notes,
-        {
-            "schema": 1,
-            "subject": person["subject"],
-            "phantom": person["phantom"],
-            "status": person["status"],
-            "trial": pose.parent.name,
-            "timestep_s": simulated.model.opt.timestep,
+    return difference
+
+
+def _notes(
+    person: dict[str, Any], about: dict[str, Any], limits: JointLimits | None, rest: RestPose
+) -> dict[str, Any]:
+    """Return what the notes say of the person, of the trial (``about``) and of the interface."""
+    return (
+        {"schema": 1, "subject": person["subject"], "phantom": person["phantom"], "status": person["status"]}
+        | about
+        | {
             "joints": list(STRAP_JOINTS),
             "limits": None
-            if own_limits is None
-            else {"lower": own_limits.lower.tolist(), "upper": own_limits.upper.tolist()},
-            "rest": {"rotation": trial.rest.rotation.tolist(), "position_m": trial.rest.position.tolist()},
+            if limits is None
+            else {"lower": limits.lower.tolist(), "upper": limits.upper.tolist()},
+            "rest": {"rotation": rest.rotation.tolist(), "position_m": rest.position.tolist()},
             "parameters": {
                 name: {key: p[key] for key in ("value", "unit", "source")}
                 for name, p in person["parameters"].items()
             },
-            "replay_difference_m": difference,
-            "provenance": sources,
-        },
+        }
     )
 
 
-def _own_step(plant: dict) -> float:
-    """Time step [s] where no trial was there to study it: what is configured, or the smallest candidate."""
+def _with_own_step(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings with the time step of `_own_step`."""
+    plant = settings["plant"]
+    return settings | {"plant": plant | {"timestep_s": _own_step(plant)}}
+
+
+def _own_step(plant: dict[str, Any]) -> float:
+    """Return the time step [s] where no trial was there to study it: as configured, or the smallest candidate."""
     if plant["timestep_s"] == "auto":
         return float(min(plant["study"]["candidates_s"]))
     return float(plant["timestep_s"])
@@ -146,7 +156,7 @@ def _header(person: dict[str, Any], trial: str, replay: str, limited: bool) -> l
     ]
 
 
-def _texts(person: dict[str, Any], sources: dict[str, Any]) -> dict[str, str]:
+def _texts(person: dict[str, Any], sources: Provenance) -> dict[str, str]:
     parameters = person["parameters"]
     texts = {
         "subject": person["subject"],

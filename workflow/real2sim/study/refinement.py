@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -22,17 +22,20 @@ from real2sim.artefacts import number, read_json, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.inference.identifiability import (
     NORMAL_95,
+    AssessedParameter,
+    Options,
     central_jacobian,
     information,
 )
 from real2sim.inference.least_squares import Residuals, minimise
-from real2sim.inference.noise_floor import floor_of
+from real2sim.inference.noise_floor import Floor
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
 from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.quality.verdict import held_back, overridden_gates, require
 from real2sim.recording.trial import TrialModel, trial_model, with_step
-from real2sim.study.assessment import assess_model, marker_noise
+from real2sim.study.assessment import assess_model, pelvis_marker_noise
 from real2sim.study.fit import BATCH, best_of
+from real2sim.study.noise_floor import floor_of_trial
 from real2sim.study.statistics.loso import overhead
 from real2sim.study.statistics.shareability import USE
 
@@ -60,7 +63,7 @@ class Search:
 
 
 def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str], interval: str = PREDICTION) -> Search:
-    """What priors.csv leaves open, inside the bounds of the search.
+    """Read what priors.csv leaves open, inside the bounds of the search.
 
     Parameters
     ----------
@@ -111,7 +114,7 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str], interval
 
 
 def _interval(row: Mapping[str, str], kind: str) -> tuple[float, float]:
-    """Ends of a parameter's interval; a table without predictions has its spread."""
+    """Return the ends of a parameter's interval; a table without predictions has its spread."""
     ends = "prediction" if kind == PREDICTION and row.get("prediction_low") else "interval"
     return number(row[f"{ends}_low"]), number(row[f"{ends}_high"])
 
@@ -166,9 +169,9 @@ def would_gain(
     *,
     batch: int,
     lags: int,
-    settings: dict,
+    settings: Options,
 ) -> tuple[dict[str, dict[str, Any]], int]:
-    """What J falls to if one more parameter is free, inside ``bounds``, and whether noise alone would do as much.
+    """Return what J falls to if one more parameter is free inside ``bounds``, and whether noise would do as much.
 
     ``settings`` is the slice ``identifiability``; ``lags`` the range of autocorrelation [samples]. The threshold is
     that of the 95 % profile (`identifiability`). Returns ``{parameter: J, gain, value, contradicts_prior}``, largest
@@ -196,7 +199,7 @@ def would_gain(
 
 
 def ends_reached(values: np.ndarray, search: Search, bounds: Bounds, tolerance: float) -> dict[str, str]:
-    """Free parameters of (12,) that stand within ``tolerance`` (ln-units) of an end, and what that means.
+    """Return the free parameters of (12,) that stand within ``tolerance`` (ln-units) of an end, and what that means.
 
     An end of an interval that is as near to one of the ``bounds`` of the search is called by that name.
     """
@@ -226,7 +229,7 @@ def refine(
     neutral_quality: Path,
     gates: list[Path],
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     in_priors: bool,
     out: Path,
     limits: Path | None = None,
@@ -237,36 +240,58 @@ def refine(
 
     Parameters
     ----------
-    priors
-        Table of priors with class and interval per parameter.
+    priors, in_priors
+        Table of priors with class and interval per parameter; whether the person's own fits are among those behind it.
     poses, markers
         Canonical tables of the dynamic trials, in one order; none if there are none.
     neutral_pose, neutral_markers, neutral_quality
         Tables of the person's neutral trial: noise of the markers, and how much of J is noise.
     gates
         results/quality/<SUBJECT>/<TRIAL>.json of the dynamic trials and of those that a fit rests on. A dynamic trial
-        that a gate refuses is left out and said so.
+        that a gate refuses is left out, and the file names it.
     settings
         Slices ``identification``, ``identifiability``, ``ingest``, ``plant``, ``refinement`` and ``robot``.
-    in_priors
-        Whether the person's own fits are among those behind ``priors``.
-    limits, step
-        Joint limits and step study of the person; without them nothing is refined.
-    fits
-        All fits of a full calibration of the person, to compare with.
+    limits, step, fits
+        Joint limits and step study of the person, without which nothing is refined; fits of a full calibration.
     out
         JSON: the person's parameters with their ends; per trial J and position RMSE [m] at the prior, refined and fully
         calibrated, evaluations, verdicts, what more would gain; the same on the other trials; the noise floor.
     """
-    ident = settings["identification"]
-    bounds = Bounds.from_config(ident["bounds"])
-    options = settings["refinement"]
+    bounds, options = Bounds.from_config(settings["identification"]["bounds"]), settings["refinement"]
     search = read_search(priors, bounds, options["also_free"], options["interval"])
     refused = held_back(gates)
-    left_out = {t: g for t, g in refused.items() if t.split("/")[1] in {p.parent.name for p in poses}}
-    usable = [i for i, pose in enumerate(poses) if f"{subject}/{pose.parent.name}" not in refused]
-    status = _status(poses, usable, limits, step, {t: g for t, g in refused.items() if t not in left_out})
-    record: dict[str, Any] = {
+    usable = _usable(subject, poses, markers, refused)
+    status = _status(poses, list(usable), limits, step, refused)
+    record = _about(subject, status, neutral_quality, priors, refused) | {"prior_rests_on_person": in_priors}
+    record |= {"free": [PARAMETERS[i] for i in search.free], "also_free": list(options["also_free"])}
+    result = _Result(search.prior)
+    used = [path for path in (limits, step) if path is not None]
+    if status == OK and limits is not None and step is not None:
+        neutral = _Neutral(neutral_pose, neutral_markers, neutral_quality)
+        person = _Person(subject, usable, neutral, limits, robot, with_step(settings, step))
+        result = person.refine(search, bounds, gates, refused, fits or [])
+        used += [path for tables in usable.values() for path in tables]
+    record["overridden_gates"] = result.overridden
+    source = provenance([priors, robot, *used], _PACKAGES, fingerprint(__name__))
+    slices = {key: settings[key] for key in ("refinement", "plant", "identification")}
+    parameters = _parameters(result.values, search, result.ends, status)
+    rest = {"settings": slices, "provenance": source}
+    write_json(out, record | {"parameters": parameters} | result.found() | rest)
+
+
+def _usable(
+    subject: str, poses: list[Path], markers: list[Path], refused: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[Path, Path]]:
+    """Return pose and marker tables of the dynamic trials that no gate refuses, by trial."""
+    pairs = zip(poses, markers, strict=True)
+    return {p.parent.name: (p, m) for p, m in pairs if f"{subject}/{p.parent.name}" not in refused}
+
+
+def _about(
+    subject: str, status: str, neutral_quality: Path, priors: Path, refused: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """Return the head of the file: whom it is about, its status, and which gates were refused or overridden."""
+    return {
         "schema": 1,
         "subject": subject,
         "phantom": bool(read_json(neutral_quality).get("phantom", False)),
@@ -276,64 +301,102 @@ def refine(
             {trial for row in read_table(priors) for trial in row.get("overridden", "").split()}
         ),
         "refused_gates": refused,
-        "prior_rests_on_person": in_priors,
-        "free": [PARAMETERS[i] for i in search.free],
-        "also_free": list(settings["refinement"]["also_free"]),
     }
-    values = search.prior
-    found: dict[str, Any] = {"trials": {}, "pooled": None, "cross_trial": None, "noise_floor": None}
-    used = [path for path in (limits, step) if path is not None]
-    if status == OK:
-        assert limits is not None
-        assert step is not None
-        kept = [path for path in gates if f"{subject}/{path.stem}" not in refused]
-        stepped = with_step(settings, step)
-        models = {
-            poses[i].parent.name: trial_model(
-                pose=poses[i], markers=markers[i], limits=limits, robot=robot, settings=stepped, nsim=BATCH
-            )
-            for i in usable
-        }
-        record["overridden_gates"] = overridden_gates(
-            [{"overridden_gates": require(kept, name)} for name in models]
+
+
+@dataclass(frozen=True)
+class _Result:
+    """Values (12,) [SI] of a person and figures about them; the prior and empty fields where nothing was refined."""
+
+    values: np.ndarray
+    ends: dict[str, str] = field(default_factory=dict)
+    overridden: dict[str, list[str]] = field(default_factory=dict)
+    trials: dict[str, dict[str, Any]] = field(default_factory=dict)
+    pooled: dict[str, Any] | None = None
+    cross_trial: dict[str, Any] | None = None
+    noise_floor: Floor | None = None
+
+    def found(self) -> dict[str, Any]:
+        """Return what was found, as the file has it."""
+        names = ("trials", "pooled", "cross_trial", "noise_floor")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class _Neutral:
+    """Canonical tables of a neutral trial."""
+
+    pose: Path
+    markers: Path
+    quality: Path
+
+
+@dataclass(frozen=True)
+class _Person:
+    """What a refinement of one person rests on.
+
+    ``trials`` pose and marker tables of the dynamic trials by name; ``settings`` with the time step of the person.
+    """
+
+    subject: str
+    trials: Mapping[str, tuple[Path, Path]]
+    neutral: _Neutral
+    limits: Path
+    robot: Path
+    settings: dict[str, Any]
+
+    def model(self, pose: Path, markers: Path, nsim: int) -> TrialModel:
+        """Return the replay and cost of a trial, for batches of ``nsim``."""
+        return trial_model(
+            pose=pose,
+            markers=markers,
+            limits=self.limits,
+            robot=self.robot,
+            settings=self.settings,
+            nsim=nsim,
         )
+
+    def refine(
+        self,
+        search: Search,
+        bounds: Bounds,
+        gates: Sequence[Path],
+        refused: Mapping[str, Sequence[str]],
+        fits: Sequence[Path],
+    ) -> _Result:
+        """Refine the open parameters on every trial and on all of them; arguments as of `refine` and `read_search`."""
+        kept = [path for path in gates if f"{self.subject}/{path.stem}" not in refused]
+        models = {name: self.model(*tables, nsim=BATCH) for name, tables in self.trials.items()}
+        overridden = overridden_gates([{"overridden_gates": require(kept, name)} for name in models])
         for model in models.values():
             model.replay.check_bounds(bounds.upper[6:])
-        noise = marker_noise(neutral_quality)
-        full = _full(fits or [], models)
-        values, found = _refine_all(subject, models, search, bounds, noise, full, robot, stepped)
-        quiet = trial_model(
-            pose=neutral_pose, markers=neutral_markers, limits=limits, robot=robot, settings=stepped, nsim=1
+        noise = pelvis_marker_noise(self.neutral.quality)
+        full = _full(fits, models)
+        values, trials, pooled, cross = _refine_all(
+            self.subject, models, search, bounds, noise, full, self.robot, self.settings
         )
-        found["noise_floor"] = floor_of(quiet, values, settings["identifiability"])
-    used += [path for i in usable for path in (poses[i], markers[i])] if status == OK else []
-    ends = ends_reached(values, search, bounds, ident["at_bound_ln"]) if status == OK else {}
-    write_json(
-        out,
-        record
-        | {"parameters": _parameters(values, search, ends, status)}
-        | found
-        | {
-            "settings": {key: settings[key] for key in ("refinement", "plant", "identification")},
-            "provenance": provenance([priors, robot, *used], _PACKAGES, fingerprint(__name__)),
-        },
-    )
+        quiet = self.model(self.neutral.pose, self.neutral.markers, nsim=1)
+        floor = floor_of_trial(quiet, values, self.settings["identifiability"])
+        ends = ends_reached(values, search, bounds, self.settings["identification"]["at_bound_ln"])
+        return _Result(values, ends, overridden, trials, pooled, cross, floor)
 
 
 def _status(
     poses: Sequence[Path],
-    usable: Sequence[int],
+    usable: Sequence[str],
     limits: Path | None,
     step: Path | None,
     refused: Mapping[str, Sequence[str]],
 ) -> str:
-    """``ok``, or why nothing can be refined and the point prior stands."""
+    """Return ``ok``, or why nothing can be refined and the point prior stands."""
+    dynamic = {path.parent.name for path in poses}
+    elsewhere = {trial: names for trial, names in refused.items() if trial.split("/")[1] not in dynamic}
     if not poses:
         return "no dynamic trial: nothing to refine on, the point prior stands"
     if limits is None or step is None:
         return "no joint limits, as the sweeps at T* are missing: the point prior stands"
-    if refused:
-        listed = "; ".join(f"{trial}: {', '.join(gates)}" for trial, gates in refused.items())
+    if elsewhere:
+        listed = "; ".join(f"{trial}: {', '.join(gates)}" for trial, gates in elsewhere.items())
         return f"refused by its gates, and every fit rests on it ({listed}): the point prior stands"
     if not usable:
         return "every dynamic trial is refused by its gates: the point prior stands"
@@ -341,7 +404,7 @@ def _status(
 
 
 def _full(fits: Sequence[Path], models: Mapping[str, TrialModel]) -> dict[str, dict[str, Any]]:
-    """Best restart of each trial of a full calibration, with the evaluations of it and of all restarts."""
+    """Return the best restart of each trial of a full calibration, with the evaluations of it and of all restarts."""
     records = [read_json(path, ("trial", "restart", "parameters", "cost", "evaluations")) for path in fits]
     out = {}
     for trial in models:
@@ -367,9 +430,9 @@ def _refine_all(
     noise: np.ndarray | None,
     full: Mapping[str, dict[str, Any]],
     robot: Path,
-    settings: dict,
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """Values (12,) of the person, and what there is to say of each trial, all together and across them."""
+    settings: dict[str, Any],
+) -> tuple[np.ndarray, dict[str, dict[str, Any]], dict[str, Any] | None, dict[str, Any] | None]:
+    """Return the person's values (12,) [SI], and figures per trial, of all together and across trials."""
     how = _how(settings)
     refined, trials = {}, {}
     for name, model in models.items():
@@ -399,23 +462,23 @@ def _refine_all(
             "trials": {name: _terms(model, values[None])[0] for name, model in models.items()},
         }
     cross = None if len(models) < 2 else _cross(models, refined, full)
-    return values, {"trials": trials, "pooled": pooled, "cross_trial": cross}
+    return values, trials, pooled, cross
 
 
-def _how(settings: dict) -> dict[str, Any]:
-    """Options of `refine_residuals`."""
+def _how(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of `refine_residuals`."""
     options = settings["identification"]["least_squares"]
     return {"batch": BATCH, "iterations": options["iterations"], "ftol": options["ftol"]}
 
 
 def _residuals(models: Sequence[TrialModel]) -> Callable[[np.ndarray], np.ndarray]:
-    """Residuals (m, n_r) of parameters (m, 12) whose sum of squares is the mean J of some trials."""
+    """Return residuals (m, n_r) of parameters (m, 12) whose sum of squares is the mean J of some trials."""
     weight = 1 / np.sqrt(len(models))
     return lambda p: np.concatenate([weight * m.cost.residuals(m.replay.run(p)) for m in models], axis=1)
 
 
 def _terms(model: TrialModel, parameters: np.ndarray) -> list[dict[str, float]]:
-    """J, its terms and the position RMSE [m] of parameters (m, 12)."""
+    """Return J, its terms and the position RMSE [m] of parameters (m, 12)."""
     terms = model.cost(model.replay.run(parameters))
     columns = zip(terms.total, terms.position, terms.velocity, terms.rmse_position, strict=True)
     names = ("J", "J_position", "J_velocity", "rmse_position_m")
@@ -430,9 +493,9 @@ def _trial(
     noise: np.ndarray | None,
     full: dict[str, Any] | None,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
 ) -> dict[str, Any]:
-    """Prior, refined and full calibration of one trial, and what the refinement is worth."""
+    """Compare prior, refined and full calibration on one trial, and assess the refinement."""
     vectors = [search.prior, refined.values, *([as_vector(full["parameters"])] if full else [])]
     costs = _terms(model, np.array(vectors))
     options = settings["identifiability"]
@@ -475,7 +538,7 @@ def _trial(
 
 
 def opened(search: Search, bounds: Bounds, names: Iterable[str]) -> Search:
-    """The same search with some parameters free between the ``bounds``."""
+    """Return the same search with some parameters free between the ``bounds``."""
     wider = Bounds(search.bounds.lower.copy(), search.bounds.upper.copy())
     index = [PARAMETERS.index(name) for name in names]
     wider.lower[index], wider.upper[index] = bounds.lower[index], bounds.upper[index]
@@ -490,7 +553,7 @@ def beyond_ends(
     ends: Mapping[str, str],
     **how: Any,
 ) -> dict[str, Any] | None:
-    """What J falls to where the search goes on from the ends of intervals that it reached; None if it reached none.
+    """Return what J falls to where the search goes on from the ends of intervals it reached; None if it reached none.
 
     ``how`` as in `refine_residuals`.
     """
@@ -506,7 +569,7 @@ def beyond_ends(
 
 
 def against_full(cost: float, evaluations: int, full: Mapping[str, Any]) -> dict[str, Any]:
-    """How a refinement compares with a full calibration, and whether it meets both bars."""
+    """Return how a refinement compares with a full calibration, and whether it meets both bars."""
     ratio, share = cost / full["J"], evaluations / full["evaluations_best_restart"]
     return {
         "J_ratio": ratio,
@@ -523,9 +586,9 @@ def _verdicts(
     search: Search,
     noise: np.ndarray | None,
     robot: Path,
-    settings: dict,
-) -> dict[str, dict[str, Any]]:
-    """What the trial determines of the free parameters, the others taken for known."""
+    settings: dict[str, Any],
+) -> dict[str, AssessedParameter]:
+    """Return what the trial determines of the free parameters, the others taken for known."""
     if not len(search.free):
         return {}
     result = assess_model(
@@ -537,7 +600,7 @@ def _verdicts(
 def _cross(
     models: Mapping[str, TrialModel], refined: Mapping[str, Refined], full: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """J of parameters of one trial on another one, refined and fully calibrated."""
+    """Return J of parameters of one trial on another one, refined and fully calibrated."""
     vectors = {"refined": {name: r.values for name, r in refined.items()}}
     if set(full) == set(models):
         vectors["full"] = {name: as_vector(f["parameters"]) for name, f in full.items()}
@@ -561,7 +624,7 @@ def _cross(
 def _parameters(
     values: np.ndarray, search: Search, ends: Mapping[str, str], status: str
 ) -> dict[str, dict[str, Any]]:
-    """The person's parameters, each with where it comes from."""
+    """Return the person's parameters, each with where it comes from."""
     out = {}
     for i, name in enumerate(PARAMETERS):
         free = i in search.free

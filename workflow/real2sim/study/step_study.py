@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.inference.parameters import PARAMETERS, Bounds
 from real2sim.provenance import fingerprint
-from real2sim.recording.trial import trial_model
+from real2sim.recording.trial import TrialModel, trial_model
 from real2sim.system.replay import replay_check
 
 
@@ -32,10 +33,10 @@ def step_study(
     limits: Path,
     robot: Path,
     published: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
 ) -> None:
-    """Replay one dynamic trial at several time steps against a fine one, and choose (contract, section 5).
+    """Replay one dynamic trial at several time steps against a fine one, and choose the largest that is exact enough.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def step_study(
     study = plant["study"]
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     parameters = parameter_draws(published, bounds, study["draws"], study["seed"])
-    runs: dict[float, dict[str, Any]] = {}
+    runs: dict[float, _Run] = {}
     phantom = False
     for step in (study["reference_s"], *study["candidates_s"]):
         stepped = settings | {"plant": plant | {"timestep_s": step}}
@@ -61,23 +62,13 @@ def step_study(
             pose=pose, markers=markers, limits=limits, robot=robot, settings=stepped, nsim=len(parameters)
         )
         phantom = model.trial.phantom
-        paths, pelvis = model.replay.run_with_pelvis(parameters)
-        checks = [replay_check(model.replay, path) for path in pelvis]
-        runs[step] = {
-            "paths": paths,
-            "J": model.cost(paths).total,
-            "replay_rms_m": max(check["rms_m"] for check in checks),
-            "replay_max_m": max(check["max_m"] for check in checks),
-            "replay_lag_s": max(abs(check["lag_s"]) for check in checks),
-        }
+        runs[step] = _run(model, parameters)
     reference = runs[study["reference_s"]]
     rows = [
         _row(step, runs[step], reference, study, plant["replay_bar"])
         for step in sorted(study["candidates_s"], reverse=True)
     ]
-    passing = [row["timestep_s"] for row in rows if row["passes"]]
-    best = passing[0] if passing else min(study["candidates_s"])
-    chosen = best if plant["timestep_s"] == "auto" else plant["timestep_s"]
+    chosen, status = _choose(rows, plant)
     write_json(
         out,
         {
@@ -88,22 +79,65 @@ def step_study(
             "reference_s": study["reference_s"],
             "steps": rows,
             "timestep_s": chosen,
-            "status": "ok" if chosen in passing else "no candidate passes" if not passing else "set by hand",
+            "status": status,
             "settings": study,
             "provenance": {"code_fingerprint": fingerprint(__name__)},
         },
     )
 
 
-def _row(step: float, run: dict, reference: dict, study: dict, bar: dict) -> dict[str, Any]:
-    error = np.sqrt(np.mean(np.sum((run["paths"] - reference["paths"]) ** 2, axis=-1), axis=(1, 2)))
-    relative = np.abs(run["J"] - reference["J"]) / reference["J"]
-    row = {
+@dataclass(frozen=True)
+class _Run:
+    """Replays with one time step.
+
+    ``paths`` (m, n, 2, 3) [m, world] and ``cost`` (m,), J, of each parameter vector; largest errors of the replayed
+    pelvis.
+    """
+
+    paths: np.ndarray
+    cost: np.ndarray
+    replay_rms_m: float
+    replay_max_m: float
+    replay_lag_s: float
+
+
+def _run(model: TrialModel, parameters: np.ndarray) -> _Run:
+    """Replay parameters (m, 12) and check the pelvis of each replay."""
+    paths, pelvis = model.replay.run_with_pelvis(parameters)
+    checks = [replay_check(model.replay, path) for path in pelvis]
+    return _Run(
+        paths,
+        model.cost(paths).total,
+        max(check["rms_m"] for check in checks),
+        max(check["max_m"] for check in checks),
+        max(abs(check["lag_s"]) for check in checks),
+    )
+
+
+def _choose(rows: list[dict[str, Any]], plant: dict[str, Any]) -> tuple[float, str]:
+    """Return the time step [s] and how it came about, from the candidates' rows, largest step first."""
+    passing = [row["timestep_s"] for row in rows if row["passes"]]
+    best = passing[0] if passing else min(plant["study"]["candidates_s"])
+    chosen = best if plant["timestep_s"] == "auto" else plant["timestep_s"]
+    if chosen in passing:
+        return chosen, "ok"
+    return chosen, "set by hand" if passing else "no candidate passes"
+
+
+def _row(
+    step: float, run: _Run, reference: _Run, study: dict[str, Any], bar: dict[str, float]
+) -> dict[str, Any]:
+    """Return the errors of a step against the reference, and whether they pass the bars."""
+    error = np.sqrt(np.mean(np.sum((run.paths - reference.paths) ** 2, axis=-1), axis=(1, 2)))
+    relative = np.abs(run.cost - reference.cost) / reference.cost
+    row: dict[str, Any] = {
         "timestep_s": step,
         "marker_rms_m_median": float(np.median(error)),
         "marker_rms_m_max": float(error.max()),
         "J_relative_max": float(relative.max()),
-        **{key: float(run[key]) for key in ("replay_rms_m", "replay_max_m", "replay_lag_s")},
+        "replay_rms_m": float(run.replay_rms_m),
+        "replay_max_m": float(run.replay_max_m),
+        "replay_lag_s": float(run.replay_lag_s),
     }
     row["passes"] = bool(
         row["marker_rms_m_max"] < study["marker_rms_m"]

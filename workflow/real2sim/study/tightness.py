@@ -1,7 +1,7 @@
 """Tightness sweep: allowable motion at each strap level, breakpoint, operating point (section III-A).
 
-Signs follow the interface coordinates q (contract, section 2): ``front`` and ``left`` are the positive sides
-of t_x, t_y and r_z, ``back`` and ``right`` the negative ones, all counted from rest (q = 0).
+Signs follow the interface coordinates q (`geometry.interface_coordinates`): ``front`` and ``left`` are the positive
+sides of t_x, t_y and r_z, ``back`` and ``right`` the negative ones, all counted from rest (q = 0).
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def side_means(rows: Sequence[Mapping[str, str]], quantity: str) -> tuple[np.nda
 
 
 def _regression(
-    fit: PiecewiseFit, p_value: float, interval: tuple[float, float], settings: dict
+    fit: PiecewiseFit, p_value: float, interval: tuple[float, float], settings: dict[str, Any]
 ) -> dict[str, Any]:
     return {
         "status": "ok",
@@ -196,7 +196,7 @@ def _regression(
     }
 
 
-def _person_regression(rows: list[dict[str, str]], quantity: str, settings: dict) -> dict[str, Any]:
+def _person_regression(rows: list[dict[str, str]], quantity: str, settings: dict[str, Any]) -> dict[str, Any]:
     x, y = side_means(rows, quantity)
     head = {"unit": UNITS[quantity], "n_levels": len(x)}
     if len(x) < settings["min_levels"]:
@@ -232,7 +232,7 @@ def _operating_point(
     }
 
 
-def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict, out: Path) -> None:
+def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict[str, Any], out: Path) -> None:
     """Breakpoint regressions of one person and whether the knee of the rotation meets the selected level.
 
     Slopes are deg or mm of one side per unit of normalised tightness. ``settings`` is the config slice
@@ -255,7 +255,9 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict, ou
     )
 
 
-def _pooled(tables: dict[str, list[dict[str, str]]], quantity: str, settings: dict) -> dict[str, Any]:
+def _pooled(
+    tables: dict[str, list[dict[str, str]]], quantity: str, settings: dict[str, Any]
+) -> dict[str, Any]:
     """Regression over all persons: shared slopes and breakpoint, an intercept for each person."""
     parts = {s: side_means(rows, quantity) for s, rows in tables.items()}
     x = np.concatenate([p[0] for p in parts.values()])
@@ -290,7 +292,9 @@ def _shared(persons: list[dict[str, Any]], quantity: str) -> dict[str, Any]:
     }
 
 
-def tightness_cohort(*, sweeps: list[Path], breakpoints: list[Path], settings: dict, out: Path) -> None:
+def tightness_cohort(
+    *, sweeps: list[Path], breakpoints: list[Path], settings: dict[str, Any], out: Path
+) -> None:
     """All persons together: pooled regressions, shared breakpoints, selected levels against the knee.
 
     The pooled interval resamples whole persons; with one person it resamples residuals and ``status`` says

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from real2sim.artefacts import needs_people, read_json, read_table, write_json
+from real2sim.inference.cost import CostTerms
 from real2sim.inference.parameters import as_vector
 from real2sim.provenance import fingerprint
 from real2sim.recording.quality.verdict import overridden_gates
@@ -16,10 +18,11 @@ from real2sim.study.fit import best_of
 from real2sim.study.statistics.loso import leave_one_out_prior, overhead
 from real2sim.study.statistics.shareability import read_fits_table
 
+PUBLISHED = "published"
 _FIT_KEYS = ("subject", "trial", "restart", "parameters", "cost")
 
 
-def _best_per_trial(fits: list[dict], subject: str) -> dict[str, dict]:
+def _best_per_trial(fits: list[dict[str, Any]], subject: str) -> dict[str, dict[str, Any]]:
     mine = [fit for fit in fits if fit["subject"] == subject]
     return {
         trial: best_of([fit for fit in mine if fit["trial"] == trial])
@@ -28,7 +31,7 @@ def _best_per_trial(fits: list[dict], subject: str) -> dict[str, dict]:
 
 
 def _models(
-    poses: list[Path], markers: list[Path], limits: Path, robot: Path, settings: dict, nsim: int
+    poses: list[Path], markers: list[Path], limits: Path, robot: Path, settings: dict[str, Any], nsim: int
 ) -> dict[str, TrialModel]:
     return {
         pose.parent.name: trial_model(
@@ -47,7 +50,7 @@ def cross_trial(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
 ) -> None:
     """Simulate each trial's best fit on the person's other trials (paper, section V-B).
@@ -74,21 +77,7 @@ def cross_trial(
             poses, markers, limits, robot, with_step(settings, step), len(names)
         ).items()
     }
-    pairs = []
-    for train, test in permutations(names, 2):
-        i, j = names.index(train), names.index(test)
-        within, cross = float(costs[test].total[j]), float(costs[test].total[i])
-        pairs.append(
-            {
-                "train": train,
-                "test": test,
-                "J_within": within,
-                "J_cross": cross,
-                "overhead": overhead(cross, within),
-                "rmse_within_m": float(costs[test].rmse_position[j]),
-                "rmse_cross_m": float(costs[test].rmse_position[i]),
-            }
-        )
+    pairs = [_pair(names, costs, train, test) for train, test in permutations(range(len(names)), 2)]
     within_mean = float(np.mean([costs[name].total[i] for i, name in enumerate(names)]))
     cross_mean = float(np.mean([pair["J_cross"] for pair in pairs]))
     write_json(
@@ -105,6 +94,21 @@ def cross_trial(
     )
 
 
+def _pair(names: list[str], costs: dict[str, CostTerms], train: int, test: int) -> dict[str, Any]:
+    """Return what the fit of one trial costs on another, beside that trial's own; costs are in the order of names."""
+    terms = costs[names[test]]
+    within, cross = float(terms.total[test]), float(terms.total[train])
+    return {
+        "train": names[train],
+        "test": names[test],
+        "J_within": within,
+        "J_cross": cross,
+        "overhead": overhead(cross, within),
+        "rmse_within_m": float(terms.rmse_position[test]),
+        "rmse_cross_m": float(terms.rmse_position[train]),
+    }
+
+
 def loso_subject(
     *,
     subject: str,
@@ -116,7 +120,7 @@ def loso_subject(
     step: Path,
     robot: Path,
     published: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
 ) -> None:
     """Deploy the prior of the others on one person, with that person's own joint limits (paper, eq. 7).
@@ -127,18 +131,9 @@ def loso_subject(
     """
     records = [read_json(path, _FIT_KEYS) for path in fits]
     everyone = read_fits_table(cohort)
-    people = {r["subject"] for r in everyone}
     minimum = settings["statistics"]["min_subjects"]
-    base = {"schema": 1, "subject": subject, "phantom": any(r["phantom"] for r in records)}
-    if len(people) < minimum:
-        table = read_table(published, ("parameter", "prior"))
-        prior = {row["parameter"]: float(row["prior"]) for row in table}
-        source, status = "published", needs_people(minimum, len(people))
-        rests_on = records
-    else:
-        prior = leave_one_out_prior(everyone, subject)
-        source, status = "leave-one-out", "ok"
-        rests_on = [*records, *everyone]
+    prior, source, status = _prior_of_others(subject, everyone, minimum, published)
+    rests_on = records if source == PUBLISHED else [*records, *everyone]
     best = _best_per_trial(records, subject)
     trials = []
     for name, model in _models(poses, markers, limits, robot, with_step(settings, step), 2).items():
@@ -153,21 +148,38 @@ def loso_subject(
                 "rmse_prior_m": float(terms.rmse_position[1]),
             }
         )
-
-    def mean(key: str) -> float:
-        return float(np.mean([trial[key] for trial in trials]))
-
-    overheads = {
-        "overhead_J": overhead(mean("J_prior"), mean("J_best")),
-        "overhead_rmse": overhead(mean("rmse_prior_m"), mean("rmse_best_m")),
-    }
-    if source == "published":
+    overheads = _overheads(trials)
+    if source == PUBLISHED:
         overheads = {f"published_{key}": value for key, value in overheads.items()}
     write_json(
         out,
-        base
+        {"schema": 1, "subject": subject, "phantom": any(r["phantom"] for r in records)}
         | {"overridden_gates": overridden_gates(rests_on), "status": status}
         | {"prior_source": source, "prior": prior, "trials": trials}
         | overheads
         | {"provenance": {"code_fingerprint": fingerprint(__name__)}},
     )
+
+
+def _prior_of_others(
+    subject: str, everyone: list[dict[str, Any]], minimum: int, published: Path
+) -> tuple[dict[str, float], str, str]:
+    """Return prior by parameter, where it is from, and the status; the published one where there are too few people."""
+    people = {r["subject"] for r in everyone}
+    if len(people) < minimum:
+        table = read_table(published, ("parameter", "prior"))
+        prior = {row["parameter"]: float(row["prior"]) for row in table}
+        return prior, PUBLISHED, needs_people(minimum, len(people))
+    return leave_one_out_prior(everyone, subject), "leave-one-out", "ok"
+
+
+def _overheads(trials: list[dict[str, Any]]) -> dict[str, float]:
+    """Return how much more than the best fits the prior costs, of J and of the RMSE, each a mean over the trials."""
+
+    def mean(key: str) -> float:
+        return float(np.mean([trial[key] for trial in trials]))
+
+    return {
+        "overhead_J": overhead(mean("J_prior"), mean("J_best")),
+        "overhead_rmse": overhead(mean("rmse_prior_m"), mean("rmse_best_m")),
+    }

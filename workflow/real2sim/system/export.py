@@ -9,7 +9,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,17 +20,20 @@ from real2sim.system.replay import Replay, Simulated
 # Relative difference that a number may have after it was written and read; angles are turned to radians and back
 _SAME = 1e-12
 START_KEY = "start"
+# Writes fields of a compiled model into the description, of one joint (by its index) or of the whole model
+WriteJoint = Callable[[mujoco.MjsJoint, mujoco.MjModel, int], None]
+WriteModel = Callable[[mujoco.MjSpec, mujoco.MjModel], None]
 
 
-def _joint(spec: mujoco.MjSpec, model: mujoco.MjModel, index: int) -> Any:
+def _joint(spec: mujoco.MjSpec, model: mujoco.MjModel, index: int) -> mujoco.MjsJoint:
     return spec.joint(model.joint(index).name)
 
 
-def _rest(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _rest(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
     joint.springref = model.qpos_spring[model.jnt_qposadr[index]]
 
 
-def _per_joint(write: Callable[[Any, mujoco.MjModel, int], None]) -> Callable[..., None]:
+def _per_joint(write: WriteJoint) -> WriteModel:
     def all_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         for index in range(model.njnt):
             write(_joint(spec, model, index), model, index)
@@ -39,27 +41,27 @@ def _per_joint(write: Callable[[Any, mujoco.MjModel, int], None]) -> Callable[..
     return all_joints
 
 
-def _spring(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _spring(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
     joint.stiffness = [model.jnt_stiffness[index], *model.jnt_stiffnesspoly[index]]
 
 
-def _damper(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _damper(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
     dof = model.jnt_dofadr[index]
     joint.damping = [model.dof_damping[dof], *model.dof_dampingpoly[dof]]
 
 
-def _of_dof(name: str) -> Callable[[Any, mujoco.MjModel, int], None]:
-    def write(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _of_dof(name: str) -> WriteJoint:
+    def write(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
         setattr(joint, name, getattr(model, f"dof_{name}")[model.jnt_dofadr[index]])
 
     return write
 
 
-def _anchor(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _anchor(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
     joint.pos = model.jnt_pos[index]
 
 
-def _axis(joint: Any, model: mujoco.MjModel, index: int) -> None:
+def _axis(joint: mujoco.MjsJoint, model: mujoco.MjModel, index: int) -> None:
     joint.axis = model.jnt_axis[index]
 
 
@@ -102,7 +104,7 @@ def _actuators(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 # Fields of a compiled model that effects and strap parameters change, and what writes them into the description
-_WRITERS: dict[str, Callable[[mujoco.MjSpec, mujoco.MjModel], None]] = {
+_WRITERS: dict[str, WriteModel] = {
     "jnt_stiffness": _per_joint(_spring),
     "jnt_stiffnesspoly": _per_joint(_spring),
     "jnt_axis": _per_joint(_axis),
@@ -303,7 +305,7 @@ def _exact(root: ET.Element, spec: mujoco.MjSpec) -> None:
             _set(element, name, getattr(key, name))
 
 
-def _inertial(element: ET.Element, body: Any) -> None:
+def _inertial(element: ET.Element, body: mujoco.MjsBody) -> None:
     # the writer leaves out inertias that it takes for none
     found = element.find("inertial")
     inertial = ET.Element("inertial") if found is None else found

@@ -63,7 +63,7 @@ def _claim(name: str, hits: Sequence[bool], target: str, met: Callable[[float], 
     """One line of the target table: a rate with its Wilson interval; ``met`` is None where it has no target."""
     n = len(hits)
     if n == 0:
-        return _figure(name, None, 0, target, None if met is None else False)
+        return _figure(name, None, 0, target, met)
     count = int(np.sum(hits))
     low, high = proportion_confint(count, n, method="wilson")
     return {
@@ -76,15 +76,17 @@ def _claim(name: str, hits: Sequence[bool], target: str, met: Callable[[float], 
     }
 
 
-def _figure(name: str, value: float | None, n: int, target: str, met: bool | None) -> Row:
-    met = None if met is None else bool(met)
-    return {"claim": name, "value": value, "n": n, "wilson95": None, "target": target, "met": met}
+def _figure(name: str, value: float | None, n: int, target: str, met: Callable[[float], bool] | None) -> Row:
+    """One line of the target table: a number without an interval, which misses its target where it is None."""
+    reached = None if met is None else value is not None and bool(met(value))
+    return {"claim": name, "value": value, "n": n, "wilson95": None, "target": target, "met": reached}
 
 
 def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out: Path) -> None:
-    """Compare the answers of a suite with its sealed truth; every row of the target table of the design.
+    """Write the score of a suite: its answers compared with its sealed truth, and each target met or missed.
 
-    ``answers`` are what `suite.diagnose_cases` wrote, ``truths`` the sealed files of the same shards.
+    ``answers`` are the lists that `answers.diagnose_cases` wrote, ``truths`` the sealed files of the same shards,
+    ``out`` a JSON file. Raises InputError where one of them is broken.
     """
     rows = _rows(answers, truths)
     by = {
@@ -117,158 +119,163 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
 
 def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
     library = by["in_library"]
-    # by the visibility that the phantom reached: some effects cannot be made as visible as was asked for
     clear = [r for r in library if _reached(r) >= CLEAR]
+    return [
+        *_score_names(library, clear),
+        *_score_refusals(nulls, by["out_of_library"]),
+        _claim("in library, rho >= 0.2: answered", _named(clear), ">= 90 %", lambda v: v >= 0.90),
+        _claim("form mismatch: family", _right(by["form_mismatch"]), ">= 85 %", lambda v: v >= 0.85),
+        *_score_mixtures(by["mixture"]),
+        *_score_location(library),
+        *_score_gap(library),
+        *_score_parameters(library, nulls),
+        *_score_calibration([r for rows in by.values() for r in rows], len(library)),
+    ]
+
+
+def _right(rows: list[Row]) -> list[bool]:
+    return [r["answer"]["verdict"] in r["names"] for r in rows]
+
+
+def _named(rows: list[Row]) -> list[bool]:
+    return [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in rows]
+
+
+def _among(rows: list[Row], k: int) -> list[bool]:
+    return [set(r["names"]) <= set(_ranked(r)[:k]) for r in rows]
+
+
+def _score_names(library: list[Row], clear: list[Row]) -> list[Row]:
+    """Score the effect named first, by the visibility that the case reached, of which ``clear`` have enough."""
+    # some effects cannot be made as visible as was asked for
     faint = [r for r in library if FAINT <= _reached(r) < CLEAR]
     hidden = [r for r in library if _reached(r) < FAINT]
-    strange, mixed, other = by["out_of_library"], by["mixture"], by["form_mismatch"]
+    sure = [r for r in faint if max(r["answer"]["probabilities"].values()) > 0.9]
+    grouped = [r["answer"]["verdict"] in _group_of(r["names"][0]) for r in clear]
+    return [
+        _claim("cause, top-1, rho >= 0.2", _right(clear), ">= 90 %", lambda v: v >= 0.90),
+        _claim("ambiguity group, rho >= 0.2", grouped, ">= 97 %", lambda v: v >= 0.97),
+        _claim("top-3, rho >= 0.2", _among(clear, 3), ">= 98 %", lambda v: v >= 0.98),
+        _claim("top-1, rho = 0.05", _right(faint), ">= 60 %", lambda v: v >= 0.60),
+        _claim(
+            "right where surer than 90 %, rho = 0.05",
+            _right(sure),
+            "never over-confident",
+            lambda v: v >= 0.9,
+        ),
+        _claim("top-1, rho below 0.025: less than was asked for", _right(hidden), "none", None),
+    ]
 
-    def top(rows: list[Row]) -> list[bool]:
-        return [r["answer"]["verdict"] in r["names"] for r in rows]
 
-    def grouped(rows: list[Row]) -> list[bool]:
-        return [r["answer"]["verdict"] in _group_of(r["names"][0]) for r in rows]
+def _score_refusals(nulls: list[Row], strange: list[Row]) -> list[Row]:
+    """Score the verdicts on cases without an effect and on cases whose effect is not in the library."""
+    alarms = [r["answer"]["verdict"] != NONE for r in nulls]
+    allowed = max(2 * len(nulls) / 150, 0)
+    unknown = [r["answer"]["verdict"] == UNKNOWN for r in strange]
+    return [
+        _claim("false alarm on null", alarms, "<= 2 of 150", lambda v: sum(alarms) <= allowed),
+        _claim("out of library: unknown", unknown, ">= 85 %", lambda v: v >= 0.85),
+        _claim("out of library: a wrong name", _named(strange), "<= 10 %", lambda v: v <= 0.10),
+    ]
 
-    def among(rows: list[Row], k: int) -> list[bool]:
-        return [set(r["names"]) <= set(_ranked(r)[:k]) for r in rows]
+
+def _score_mixtures(mixed: list[Row]) -> list[Row]:
+    """Score cases with two effects, also those alone in which each of the two is visible by itself."""
 
     def exact(rows: list[Row]) -> list[bool]:
         return [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in rows]
 
     # creep of a short trial is swallowed by the refit however strong it is, and leaves nothing to name
     seen = [r for r in mixed if min(_alone(r)) >= FAINT]
-    named = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in strange]
-    answered = [r["answer"]["verdict"] not in (NONE, UNKNOWN) for r in clear]
-    sure = [r for r in faint if max(r["answer"]["probabilities"].values()) > 0.9]
-    gaps = np.array([g for r in library if (g := _gap_closed(r)) is not None])
-    floored = np.array([g for r in library if (g := _gap_closed_of_floor(r)) is not None])
-    worse = [g < 0 for g in gaps]
-    axes = [r for r in library if r["case"]["effects"][0]["axes"]]
+    untargeted = "none: rho of each alone is 0.025 and more"
+    return [
+        _claim("mixture: both in the top 3", _among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
+        _claim("mixture: exact set", exact(mixed), ">= 65 %", lambda v: v >= 0.65),
+        _claim("mixture of two that each can be seen: both in the top 3", _among(seen, 3), untargeted, None),
+        _claim("mixture of two that each can be seen: exact set", exact(seen), untargeted, None),
+    ]
+
+
+def _score_location(library: list[Row]) -> list[Row]:
+    """Score where the answer places the effect: stage, axis and regime of the motion."""
     stages = [
         r["answer"]["where"]["stage"] == r["case"]["effects"][0]["stage"]
         for r in library
         if r["case"]["effects"][0].get("stage")
     ]
+    axes = [_axis_right(r) for r in library if r["case"]["effects"][0]["axes"]]
     regime = [r for r in library if r["case"].get("regimes") and r["answer"]["where"].get("regimes")]
-    f1 = _regime_f1(regime)
-    cut = [c for r in library if (c := _parameter_cut(r)) is not None]
-    sure_cut = [c for r in library if (c := _parameter_cut(r, determined=True)) is not None]
-    kept = [c for r in nulls if (c := _parameter_cut(r)) is not None]
-    calibration = _calibration([r for rows in by.values() for r in rows])
-    alarms = sum(r["answer"]["verdict"] != NONE for r in nulls)
-    allowed = max(2 * len(nulls) / 150, 0)
-    median = float(np.median(gaps)) if len(gaps) else None
-    tenth = float(np.quantile(gaps, 0.1)) if len(gaps) else None
-    cut_median = float(np.median(cut)) if cut else None
-    kept_median = float(np.median([1 / k for k in kept])) if kept else None
     return [
-        _claim("cause, top-1, rho >= 0.2", top(clear), ">= 90 %", lambda v: v >= 0.90),
-        _claim("ambiguity group, rho >= 0.2", grouped(clear), ">= 97 %", lambda v: v >= 0.97),
-        _claim("top-3, rho >= 0.2", among(clear, 3), ">= 98 %", lambda v: v >= 0.98),
-        _claim("top-1, rho = 0.05", top(faint), ">= 60 %", lambda v: v >= 0.60),
-        _claim(
-            "right where surer than 90 %, rho = 0.05", top(sure), "never over-confident", lambda v: v >= 0.9
-        ),
-        _claim("top-1, rho below 0.025: less than was asked for", top(hidden), "none", None),
-        _claim(
-            "false alarm on null",
-            [r["answer"]["verdict"] != NONE for r in nulls],
-            "<= 2 of 150",
-            lambda v: alarms <= allowed,
-        ),
-        _claim(
-            "out of library: unknown",
-            [r["answer"]["verdict"] == UNKNOWN for r in strange],
-            ">= 85 %",
-            lambda v: v >= 0.85,
-        ),
-        _claim("out of library: a wrong name", named, "<= 10 %", lambda v: v <= 0.10),
-        _claim("in library, rho >= 0.2: answered", answered, ">= 90 %", lambda v: v >= 0.90),
-        _claim("form mismatch: family", top(other), ">= 85 %", lambda v: v >= 0.85),
-        _claim("mixture: both in the top 3", among(mixed, 3), ">= 80 %", lambda v: v >= 0.80),
-        _claim("mixture: exact set", exact(mixed), ">= 65 %", lambda v: v >= 0.65),
-        _claim(
-            "mixture of two that each can be seen: both in the top 3",
-            among(seen, 3),
-            "none: rho of each alone is 0.025 and more",
-            None,
-        ),
-        _claim(
-            "mixture of two that each can be seen: exact set",
-            exact(seen),
-            "none: rho of each alone is 0.025 and more",
-            None,
-        ),
         _claim("where: stage", stages, ">= 97 %", lambda v: v >= 0.97),
-        _claim("where: axis", [_axis_right(r) for r in axes], ">= 95 %", lambda v: v >= 0.95),
-        _figure("where: regime F1", f1, len(regime), ">= 0.85", f1 is not None and f1 >= 0.85),
+        _claim("where: axis", axes, ">= 95 %", lambda v: v >= 0.95),
+        _figure("where: regime F1", _regime_f1(regime), len(regime), ">= 0.85", lambda v: v >= 0.85),
+    ]
+
+
+def _score_gap(library: list[Row]) -> list[Row]:
+    """Score the share of the gap that the answers close."""
+    gaps = [g for r in library if (g := _gap_closed(r)) is not None]
+    floored = [g for r in library if (g := _gap_closed_of_floor(r)) is not None]
+    tenth = float(np.quantile(gaps, 0.1)) if gaps else None
+    return [
         _figure(
             "gap closed on the held-out regime, median",
-            median,
+            _median(gaps),
             len(gaps),
             ">= 95 %",
-            median is not None and median >= 0.95,
+            lambda v: v >= 0.95,
         ),
-        _figure(
-            "gap closed, 10th percentile", tenth, len(gaps), ">= 75 %", tenth is not None and tenth >= 0.75
-        ),
-        _claim("made worse", worse, "<= 2 %", lambda v: v <= 0.02),
+        _figure("gap closed, 10th percentile", tenth, len(gaps), ">= 75 %", lambda v: v >= 0.75),
+        _claim("made worse", [g < 0 for g in gaps], "<= 2 %", lambda v: v <= 0.02),
         _figure(
             "gap closed of what lies above the estimated floor, median",
-            float(np.median(floored)) if len(floored) else None,
+            _median(floored),
             len(floored),
             "none: the floor is known to 10 %",
             None,
         ),
-        _figure(
-            "RMS ln-error of K, D cut by (median)",
-            cut_median,
-            len(cut),
-            ">= 4 x",
-            cut_median is not None and cut_median >= 4,
-        ),
+    ]
+
+
+def _score_parameters(library: list[Row], nulls: list[Row]) -> list[Row]:
+    """Score how much nearer to the truth the answers bring stiffness and damping."""
+    cut = [c for r in library if (c := _parameter_cut(r)) is not None]
+    determined = [c for r in library if (c := _parameter_cut(r, determined=True)) is not None]
+    kept = [1 / c for r in nulls if (c := _parameter_cut(r)) is not None]
+    held = [hit for r in library + nulls if r["answer"]["verdict"] in r["names"] for hit in _held(r)]
+    return [
+        _figure("RMS ln-error of K, D cut by (median)", _median(cut), len(cut), ">= 4 x", lambda v: v >= 4),
         _figure(
             "RMS ln-error of the determined K, D cut by (median)",
-            float(np.median(sure_cut)) if sure_cut else None,
-            len(sure_cut),
+            _median(determined),
+            len(determined),
             "none: what the answer calls determined",
             None,
         ),
-        _claim(
-            "95 % intervals of the determined K, D hold the truth",
-            [hit for r in library + nulls if r["answer"]["verdict"] in r["names"] for hit in _held(r)],
-            "none: 95 % were right",
-            None,
-        ),
+        _claim("95 % intervals of the determined K, D hold the truth", held, "none: 95 % were right", None),
         _figure(
             "RMS ln-error of K, D on null, times (median)",
-            kept_median,
+            _median(kept),
             len(kept),
             "<= 1.05 x",
-            kept_median is not None and kept_median <= 1.05,
-        ),
-        _figure(
-            "expected calibration error",
-            calibration["ece"],
-            len(library),
-            "<= 0.05",
-            calibration["ece"] <= 0.05,
-        ),
-        _figure(
-            "90 % sets: coverage",
-            calibration["set90_coverage"],
-            len(library),
-            "88-93 %",
-            0.88 <= calibration["set90_coverage"] <= 0.93,
-        ),
-        _figure(
-            "90 % sets: mean size",
-            calibration["set90_mean_size"],
-            len(library),
-            "<= 2",
-            calibration["set90_mean_size"] <= 2,
+            lambda v: v <= 1.05,
         ),
     ]
+
+
+def _score_calibration(rows: list[Row], n: int) -> list[Row]:
+    """Score the probabilities of all cases; ``n`` is the count that the table names."""
+    found = _calibration(rows)
+    coverage = found["set90_coverage"]
+    return [
+        _figure("expected calibration error", found["ece"], n, "<= 0.05", lambda v: v <= 0.05),
+        _figure("90 % sets: coverage", coverage, n, "88-93 %", lambda v: 0.88 <= v <= 0.93),
+        _figure("90 % sets: mean size", found["set90_mean_size"], n, "<= 2", lambda v: v <= 2),
+    ]
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 def _axis_right(row: Row) -> bool:

@@ -37,6 +37,7 @@ from real2sim.pages.motion.scene import (
 )
 from real2sim.pages.motion.schemas import SCHEMAS
 from real2sim.provenance import fingerprint
+from real2sim.recording.formats.mcap_file import finish_file
 from real2sim.recording.trial import Trial, load_limits, load_trial, replay_inputs, with_step
 from real2sim.study.fit import best_of
 from real2sim.system.plant import (
@@ -105,7 +106,7 @@ def export_motion(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict,
+    settings: dict[str, Any],
     out: Path,
 ) -> None:
     """Write measured and simulated motion of a trial under its best fit as MCAP (channels: `CHANNELS`).
@@ -143,10 +144,13 @@ def export_motion(
         load_robot(robot).compile(),
         replay.record(as_vector(fit["parameters"])),
     )
-    about = {
-        "subject": subject,
-        "trial": trial,
-        "phantom": json.dumps(recorded.phantom),
+    about = {"subject": subject, "trial": trial, "phantom": json.dumps(recorded.phantom)}
+    _write(out, view, about | _describe_fit(fit))
+
+
+def _describe_fit(fit: dict[str, Any]) -> dict[str, str]:
+    """The fit that is shown, and the scales of the arrows, as metadata of the file."""
+    return {
         "J": repr(fit["cost"]["J"]),
         "restart": str(fit["restart"]),
         "parameters": json.dumps(fit["parameters"]),
@@ -155,7 +159,6 @@ def export_motion(
         "residual_arrow_magnified": str(RESIDUAL_SCALE),
         "code_fingerprint": fingerprint(__name__),
     }
-    _write(out, view, about)
 
 
 def _write(out: Path, view: _View, about: dict[str, str]) -> None:
@@ -175,7 +178,7 @@ def _write(out: Path, view: _View, about: dict[str, str]) -> None:
         for sequence, (time_ns, topic, message) in enumerate(view.messages(about)):
             data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
             writer.add_message(channels[topic], time_ns, data, time_ns, sequence)
-        writer.finish()
+        finish_file(writer)
 
 
 class _View:

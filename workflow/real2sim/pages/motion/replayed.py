@@ -53,7 +53,8 @@ class MotionReplay(Replay):
         every = raw[0]
 
         def columns(kind: str, names: tuple[str, ...]) -> np.ndarray:
-            return every[:, [self.model.sensor(f"{kind}_{name}").adr[0] for name in names]]
+            chosen: np.ndarray = every[:, [self.model.sensor(f"{kind}_{name}").adr[0] for name in names]]
+            return chosen
 
         q, rate = columns("position", STRAP_JOINTS), columns("velocity", STRAP_JOINTS)
         # velocities of a leapfrog live half a step late (plant.py): the mean of two neighbours is at the sample

@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,8 @@ _BLOCK = 512
 _FAR_M = 1e6
 _PROCESSORS = {84: "<", 85: "<", 86: ">"}  # Intel, DEC (whose integers are Intel's), MIPS
 _SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}
+
+_Groups = dict[str, dict[str, tuple[int, tuple[int, ...], bytes]]]  # group, name: type, dimensions, data
 
 
 def is_c3d(raw: bytes) -> bool:
@@ -55,7 +56,7 @@ def read_c3d(path: Path) -> MarkerRecording:
 # -------------------- layout
 
 
-def _parameters(raw: bytes) -> dict[str, dict[str, tuple[int, tuple[int, ...], bytes]]]:
+def _parameters(raw: bytes) -> _Groups:
     """Parameters by group and name: type, dimensions, data. Raises ValueError where they leave their section."""
     start = (raw[0] - 1) * _BLOCK
     blocks, processor = raw[start + 2], raw[start + 3]
@@ -79,7 +80,7 @@ def _parameters(raw: bytes) -> dict[str, dict[str, tuple[int, tuple[int, ...], b
         if offset < 0 or link + offset > end:
             raise ValueError(f"parameter {name} points out of its section")
         at = link + offset
-    out: dict[str, dict[str, tuple[int, tuple[int, ...], bytes]]] = {}
+    out: _Groups = {}
     for group, name, value in found:
         out.setdefault(names.get(group, ""), {})[name] = value
     out[""] = out.get("", {}) | {"ORDER": (processor, (), order.encode())}
@@ -99,7 +100,7 @@ def _parameter(raw: bytes, at: int, end: int) -> tuple[int, tuple[int, ...], byt
     return kind, dimensions, data
 
 
-def _floats(groups: dict, group: str, name: str) -> np.ndarray:
+def _floats(groups: _Groups, group: str, name: str) -> np.ndarray:
     """Numbers of a parameter, of whichever processor; empty where it is not there."""
     _, _, order = groups[""]["ORDER"]
     kind, _, data = groups.get(group, {}).get(name, (1, (), b""))
@@ -108,7 +109,7 @@ def _floats(groups: dict, group: str, name: str) -> np.ndarray:
     return np.frombuffer(data, order.decode() + {-1: "u1", 1: "u1", 2: "i2"}[kind]).astype(float)
 
 
-def _real(groups: dict, data: bytes) -> np.ndarray:
+def _real(groups: _Groups, data: bytes) -> np.ndarray:
     """Floats of whichever processor: DEC's have their halves swapped and four times the value."""
     processor, _, order = groups[""]["ORDER"]
     with np.errstate(invalid="ignore"):  # what is no number is found later, and named
@@ -118,7 +119,7 @@ def _real(groups: dict, data: bytes) -> np.ndarray:
         return np.frombuffer(data, f"{order.decode()}f4").astype(float)
 
 
-def _texts(groups: dict, group: str, name: str) -> list[str]:
+def _texts(groups: _Groups, group: str, name: str) -> list[str]:
     """Strings of a parameter, and of its continuations NAME2, NAME3, ..."""
     out: list[str] = []
     for part in (name, *(f"{name}{i}" for i in range(2, 20))):
@@ -142,7 +143,7 @@ class _Extent:
     scale: float
 
 
-def _extent(raw: bytes, groups: dict) -> _Extent:
+def _extent(raw: bytes, groups: _Groups) -> _Extent:
     """Extent of the data by the header; the file must hold them."""
     order = groups[""]["ORDER"][2].decode()
     points, analogs, first, last = struct.unpack_from(f"{order}4H", raw, 2)
@@ -158,7 +159,7 @@ def _extent(raw: bytes, groups: dict) -> _Extent:
     return _Extent(points, analogs, first, frames, (block - 1) * _BLOCK, scale)
 
 
-def _long_frames(groups: dict, first: int, frames: int) -> int:
+def _long_frames(groups: _Groups, first: int, frames: int) -> int:
     """Frames of a recording beyond 65535, of which the header cannot tell the last."""
     long = _floats(groups, "POINT", "LONG_FRAMES")
     if len(long) and long[0] > 0:
@@ -172,7 +173,7 @@ def _long_frames(groups: dict, first: int, frames: int) -> int:
 # -------------------- values
 
 
-def _data(raw: bytes, groups: dict, extent: _Extent) -> tuple[np.ndarray, np.ndarray]:
+def _data(raw: bytes, groups: _Groups, extent: _Extent) -> tuple[np.ndarray, np.ndarray]:
     """Positions (frames, points, 3) and residuals (frames, points) in the file's unit; residual -1: missing."""
     words, real = 4 * extent.points + extent.analogs, extent.scale < 0
     data = raw[extent.offset : extent.offset + (4 if real else 2) * words * extent.frames]
@@ -188,7 +189,7 @@ def _data(raw: bytes, groups: dict, extent: _Extent) -> tuple[np.ndarray, np.nda
 
 
 def _recording(
-    path: Path, groups: dict[str, Any], values: np.ndarray, residual: np.ndarray, first: int
+    path: Path, groups: _Groups, values: np.ndarray, residual: np.ndarray, first: int
 ) -> MarkerRecording:
     findings: list[Finding] = []
     names = _labels(path, groups, values.shape[1], findings)
@@ -214,7 +215,7 @@ def _recording(
     return MarkerRecording(time_s, rate, positions, first, findings, events, by_name)
 
 
-def _labels(path: Path, groups: dict, points: int, findings: list[Finding]) -> list[str]:
+def _labels(path: Path, groups: _Groups, points: int, findings: list[Finding]) -> list[str]:
     """Names of the points; repeated and empty ones are numbered, so that none is taken for another."""
     labels = _texts(groups, "POINT", "LABELS")
     if len(labels) != points:
@@ -232,7 +233,7 @@ def unique_names(path: Path, labels: list[str], place: str, findings: list[Findi
     return [f"{label} #{i + 1}".strip() if label in odd else label for i, label in enumerate(labels)]
 
 
-def _events(path: Path, groups: dict, findings: list[Finding]) -> list[Event]:
+def _events(path: Path, groups: _Groups, findings: list[Finding]) -> list[Event]:
     """Events on the clock of the original recording: EVENT:TIMES is minutes and seconds."""
     labels, contexts = _texts(groups, "EVENT", "LABELS"), _texts(groups, "EVENT", "CONTEXTS")
     times = _floats(groups, "EVENT", "TIMES")

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.recordings import Finding
@@ -292,7 +292,20 @@ def _zstd(data: bytes, size: int) -> bytes:
 def _lz4(data: bytes, size: int) -> bytes:
     import lz4.frame
 
-    return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    plain: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    return plain
+
+
+# -------------------- writing
+
+
+class _Writer(Protocol):
+    def finish(self) -> None: ...
+
+
+def finish_file(writer: _Writer) -> None:
+    """Write the index and summary of a file written by ``mcap.writer.Writer``; its stream stays open."""
+    writer.finish()
 
 
 # -------------------- decoding

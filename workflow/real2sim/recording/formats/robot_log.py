@@ -1,6 +1,6 @@
 """The robot's log: topics in an MCAP file, messages in CDR (ROS 2), JSON or protobuf.
 
-Topics (contract, section 1): ``/odom`` nav_msgs/msg/Odometry, ``/joint_states`` sensor_msgs/msg/JointState,
+Topics: ``/odom`` nav_msgs/msg/Odometry, ``/joint_states`` sensor_msgs/msg/JointState,
 optional ``/interface/wrench`` geometry_msgs/msg/WrenchStamped, optional ``/sync`` std_msgs/msg/Bool.
 
 The four message types are read and written by their CDR layout, many messages at a time: every byte of a
@@ -12,6 +12,7 @@ messages have the same fields by the same names (``pose.pose.position.x``); one 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,14 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.files import replacing
-from real2sim.recording.formats.mcap_file import Channel, Contents, Undecodable, decoder, read_messages
+from real2sim.recording.formats.mcap_file import (
+    Channel,
+    Contents,
+    Undecodable,
+    decoder,
+    finish_file,
+    read_messages,
+)
 from real2sim.recording.formats.recordings import Finding, RobotLog
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -125,7 +133,7 @@ def _layout(type_name: str, payload: bytes) -> _Layout:
     def length() -> int:
         nonlocal at
         at = _align(at, 4)
-        (value,) = struct.unpack_from("<I", payload, at)
+        value: int = struct.unpack_from("<I", payload, at)[0]
         structure.append((at, at + 4))
         at += 4
         if value > len(payload):
@@ -290,7 +298,7 @@ def write_log(path: Path, log: RobotLog, *, metadata: dict[str, str] | None = No
             writer.add_message(
                 channel_id=channels[topic], log_time=t, publish_time=t, sequence=i, data=topics[topic][1][i]
             )
-        writer.finish()
+        finish_file(writer)
 
 
 # -------------------- reading
@@ -515,7 +523,8 @@ def _check_against_definition(type_name: str, payload: bytes, channel: Channel) 
         raise ValueError("its definition has other fields than the ROS type of that name")
 
 
-def _numbers(value):
+def _numbers(value: Any) -> Iterator[float]:
+    # every number of a decoded message, in the order of its fields
     if isinstance(value, str):
         return
     if hasattr(value, "__slots__") or hasattr(value, "__dict__"):

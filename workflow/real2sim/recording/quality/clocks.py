@@ -135,7 +135,7 @@ def robot_clock(
 ) -> ClockFit | None:
     """Clock and floor of the robot by the two interface markers (n, 3) [m], raw, NaN where missing.
 
-    The markers are rigid to the end of the chain base x, y, yaw, lift, roll, pitch (contract, section 5):
+    The markers are rigid to the end of the chain base x, y, yaw, lift, roll, pitch:
     marker = ground (path + base · mount + arm · place) + shift, all four unknown constants, so no geometry of the
     robot is assumed. None where less than a second is in common.
     """
@@ -176,7 +176,9 @@ def _first_ground(arm: _Arm, own: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Turn about the vertical from the odometry's heading to that of the markers."""
     across = points[:, 0] - points[:, 1]
     difference = np.arctan2(-across[:, 0], across[:, 1]) - arm.at(own)[3]
-    return Rotation.from_euler("z", float(np.angle(np.exp(1j * difference).mean()))).as_matrix()
+    heading = float(np.angle(np.exp(1j * difference).mean()))
+    ground: np.ndarray = Rotation.from_euler("z", heading).as_matrix()
+    return ground
 
 
 def _robot_system(
@@ -244,13 +246,16 @@ def markerless_clock(
     good = np.isfinite(ours.rotation).all(axis=(1, 2)) & signals.known(ours.position)
     if good.sum() < 100:
         return None
-    p_spline = CubicSpline(other.time_s, other.position)
-    r_spline = CubicSpline(other.time_s, other.rotation.reshape(-1, 9))
+    splined = _OtherPelvis(
+        CubicSpline(other.time_s, other.position),
+        CubicSpline(other.time_s, other.rotation.reshape(-1, 9)),
+        space,
+    )
     step = max(1, round(rate / _GRID_HZ))
     fit, state, drift = None, offset_s, 0.0
     middle = float(own.mean())
     for _ in range(3):
-        system = _markerless_system(ours, good, p_spline, r_spline, space, own, state, drift, middle, band_hz)
+        system = _markerless_system(ours, good, splined, own, (state, drift), middle, band_hz)
         if system is None:
             return fit
         fit = _generalised(system, step, middle, space.rotation)
@@ -275,6 +280,21 @@ def markerless_clock(
 
 
 @dataclass
+class _OtherPelvis:
+    """The markerless pelvis as splines over its own time, and how it is laid on ours."""
+
+    position: CubicSpline
+    rotation: CubicSpline
+    space: alignment.SpaceFit
+
+    def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position (n, 3) [m] and rotation (n, 3, 3) in our world at times (n,) [s] of the other clock."""
+        p, r = self.position(time_s), _orthonormal(self.rotation(time_s))
+        p = (p + r @ self.space.lever) @ self.space.rotation.T + self.space.translation
+        return p, self.space.rotation @ r @ self.space.body
+
+
+@dataclass
 class _System:
     time_s: np.ndarray  # (n,) on the other clock
     error: np.ndarray  # (n, 6) ours minus other, positions [m] and rotation vectors [rad]
@@ -284,8 +304,16 @@ class _System:
 
 
 def _markerless_system(
-    ours, good, p_spline, r_spline, space, own, offset, drift, middle, band_hz
+    ours: alignment.PelvisPath,
+    good: np.ndarray,
+    other: _OtherPelvis,
+    own: np.ndarray,
+    correction: tuple[float, float],
+    middle: float,
+    band_hz: float,
 ) -> _System | None:
+    # the two pelvises at times ``own`` of the other clock, by its offset [s] and drift [s/s] so far
+    offset, drift = correction
     rate = 1 / (own[1] - own[0])
     t = own + offset + drift * (own - middle)
     inside = (t >= ours.time_s[good][0]) & (t <= ours.time_s[good][-1])
@@ -297,9 +325,7 @@ def _markerless_system(
     r_ours = CubicSpline(ours.time_s[good], ours.rotation[good].reshape(-1, 9))
     nearest = np.clip(np.searchsorted(ours.time_s, t), 0, len(good) - 1)
     covered = good[nearest] & good[np.maximum(nearest - 1, 0)]
-    p_o, r_o = p_spline(own), _orthonormal(r_spline(own))
-    p_o = (p_o + r_o @ space.lever) @ space.rotation.T + space.translation
-    r_o = space.rotation @ r_o @ space.body
+    p_o, r_o = other.at(own)
     r_q = _orthonormal(r_ours(t))
     turn = Rotation.from_matrix(r_q @ np.swapaxes(r_o, 1, 2)).as_rotvec()
     mean = Rotation.from_matrix(r_q).mean().as_matrix()
@@ -310,7 +336,8 @@ def _markerless_system(
 
 
 def _orthonormal(flat: np.ndarray) -> np.ndarray:
-    return Rotation.from_matrix(flat.reshape(-1, 3, 3)).as_matrix()
+    rotation: np.ndarray = Rotation.from_matrix(flat.reshape(-1, 3, 3)).as_matrix()
+    return rotation
 
 
 def _angular_velocity(r: np.ndarray, slope: np.ndarray) -> np.ndarray:

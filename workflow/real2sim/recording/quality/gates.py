@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -118,10 +119,10 @@ def _grounds(trials: list[Measured]) -> dict[str, np.ndarray]:
 def judge(
     m: Measured,
     session: Session,
-    settings: dict,
-    ingest: dict,
+    settings: dict[str, Any],
+    ingest: dict[str, Any],
     *,
-    scales: dict,
+    scales: dict[str, float],
     q: np.ndarray | None = None,
     limits: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> list[Gate]:
@@ -158,7 +159,7 @@ def _gate(
     gate: str,
     value: float | None,
     unit: str,
-    settings: dict | None,
+    settings: dict[str, Any] | None,
     message: str,
     remedy: str,
     *,
@@ -177,7 +178,7 @@ def _gate(
     )
 
 
-def _completeness(m: Measured, settings: dict, ingest: dict) -> Gate:
+def _completeness(m: Measured, settings: dict[str, Any], ingest: dict[str, Any]) -> Gate:
     wanted = list(geometry.PELVIS_MARKERS)
     wanted += [] if m.kind == "walk_normal" else list(geometry.INTERFACE_MARKERS)
     share = {name: m.complete.get(name, 0.0) for name in wanted}
@@ -194,7 +195,7 @@ def _completeness(m: Measured, settings: dict, ingest: dict) -> Gate:
     )
 
 
-def _gaps(m: Measured, settings: dict) -> Gate:
+def _gaps(m: Measured, settings: dict[str, Any]) -> Gate:
     if not m.gaps:
         return _gate("gaps", 0.0, "s", settings, "no gap", "")
     longest = max(m.gaps, key=lambda gap: gap.stop - gap.start)
@@ -209,7 +210,7 @@ def _gaps(m: Measured, settings: dict) -> Gate:
     )
 
 
-def _rigid(m: Measured, settings: dict) -> Gate:
+def _rigid(m: Measured, settings: dict[str, Any]) -> Gate:
     size = np.abs(m.departures - m.skin)
     seen = np.isfinite(size).any(axis=0)
     if not seen.any():
@@ -246,7 +247,7 @@ def _swaps(m: Measured) -> Gate:
     return _gate("swaps", float(frames), "frames", None, message, remedy, verdict=verdict)
 
 
-def _spikes(m: Measured, settings: dict) -> Gate:
+def _spikes(m: Measured, settings: dict[str, Any]) -> Gate:
     count = sum(m.spikes.values())
     share = count / max(m.frames, 1)
     named = ", ".join(f"{name} {n}" for name, n in m.spikes.items() if n)
@@ -256,7 +257,7 @@ def _spikes(m: Measured, settings: dict) -> Gate:
     return _gate("spikes", share, "1", settings, message, remedy, verdict=verdict)
 
 
-def _units(m: Measured, ingest: dict) -> Gate:
+def _units(m: Measured, ingest: dict[str, Any]) -> Gate:
     low, high = ingest["units"]["marker_extent_m"]
     verdict = PASS if low <= m.extent_m <= high else REFUSE
     message = f"the markers span {m.extent_m:.3g} m (allowed: {low:g} to {high:g} m)"
@@ -266,7 +267,7 @@ def _units(m: Measured, ingest: dict) -> Gate:
     )
 
 
-def _rate(m: Measured, settings: dict) -> Gate:
+def _rate(m: Measured, settings: dict[str, Any]) -> Gate:
     rate, limits = m.rate, settings["rate"]
     remedy = "Correct FREQUENCY in the header, or export again."
     off = abs(rate.by_time / rate.declared - 1) if rate.by_time is not None else 0.0
@@ -289,7 +290,7 @@ def _rate(m: Measured, settings: dict) -> Gate:
     return _gate("rate", off, "1", settings, message, remedy)
 
 
-def _spacing(m: Measured, settings: dict) -> Gate:
+def _spacing(m: Measured, settings: dict[str, Any]) -> Gate:
     if not m.spacing:
         return _gate("spacing", None, "s", settings, "no other system", "")
     system = max(m.spacing, key=lambda name: m.spacing[name][1])
@@ -310,7 +311,7 @@ def _interval(value: float, sd: float) -> list[float] | None:
     return [value - clocks.NORMAL_95 * sd, value + clocks.NORMAL_95 * sd]
 
 
-def _robot_sync(m: Measured, settings: dict) -> Gate:
+def _robot_sync(m: Measured, settings: dict[str, Any]) -> Gate:
     robot, limits = m.robot, settings["robot_sync"]
     assert robot is not None
     fit = robot.clock
@@ -336,7 +337,11 @@ def _robot_sync(m: Measured, settings: dict) -> Gate:
 
 
 def _drift_gate(
-    gate: str, own: clocks.ClockFit | None, pooled: clocks.Pooled | None, settings: dict, system: str
+    gate: str,
+    own: clocks.ClockFit | None,
+    pooled: clocks.Pooled | None,
+    settings: dict[str, Any],
+    system: str,
 ) -> Gate:
     limits = settings[gate]
     if own is None and pooled is None:
@@ -370,12 +375,12 @@ def _drift_gate(
     return _gate(gate, 1e6 * value, "ppm", settings, message, remedy, verdict=verdict, interval=span)
 
 
-def _robot_drift(m: Measured, session: Session, settings: dict) -> Gate:
+def _robot_drift(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
     assert m.robot is not None
     return _drift_gate("robot_drift", m.robot.clock, session.robot_drift, settings, "robot")
 
 
-def _robot_residual(m: Measured, settings: dict) -> Gate:
+def _robot_residual(m: Measured, settings: dict[str, Any]) -> Gate:
     assert m.robot is not None
     fit = m.robot.clock
     if fit is None:
@@ -385,7 +390,7 @@ def _robot_residual(m: Measured, settings: dict) -> Gate:
     return _gate("robot_residual", fit.residual_m, "m", settings, message, remedy)
 
 
-def _markerless_sync(m: Measured, settings: dict) -> Gate:
+def _markerless_sync(m: Measured, settings: dict[str, Any]) -> Gate:
     assert m.markerless is not None
     fit = m.markerless.clock
     if fit is None:
@@ -411,14 +416,14 @@ def _markerless_sync(m: Measured, settings: dict) -> Gate:
     )
 
 
-def _markerless_drift(m: Measured, session: Session, settings: dict) -> Gate:
+def _markerless_drift(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
     assert m.markerless is not None
     return _drift_gate(
         "markerless_drift", m.markerless.clock, session.markerless_drift, settings, "markerless"
     )
 
 
-def _markerless_residual(m: Measured, settings: dict) -> Gate:
+def _markerless_residual(m: Measured, settings: dict[str, Any]) -> Gate:
     assert m.markerless is not None
     space = m.markerless.space
     message = (
@@ -429,7 +434,7 @@ def _markerless_residual(m: Measured, settings: dict) -> Gate:
     return _gate("markerless_residual", space.rms_m, "m", settings, message, remedy)
 
 
-def _frame_robot(m: Measured, session: Session, settings: dict) -> Gate:
+def _frame_robot(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
     limits = settings["frame_robot"]
     if m.robot is None:
         return _gate("frame_robot", None, "deg", settings, "no robot log", "")
@@ -453,7 +458,7 @@ def _frame_robot(m: Measured, session: Session, settings: dict) -> Gate:
     return _gate("frame_robot", value, "deg", settings, "; ".join(text for _, text in parts), remedy)
 
 
-def _frame_markerless(m: Measured, session: Session, settings: dict) -> Gate:
+def _frame_markerless(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
     if m.name not in session.turned:
         message = "needs the markerless pelvis of at least three trials of the person"
         return _gate("frame_markerless", None, "deg", settings, message, "")
@@ -496,7 +501,7 @@ def bandwidth_hz(values: np.ndarray, rate_hz: float, share: float = 0.95) -> flo
     return float(np.fft.rfftfreq(len(x), 1 / rate_hz)[np.searchsorted(total, share * total[-1])])
 
 
-def _excitation(q: np.ndarray, limits: dict, rate_hz: float) -> Gate:
+def _excitation(q: np.ndarray, limits: dict[str, Any], rate_hz: float) -> Gate:
     """Smallest ratio over the axes of what is there to what is asked for, in range and in reversals."""
     ratios, parts = [], []
     for axis, values in zip(geometry.AXES, q.T, strict=True):
@@ -527,7 +532,7 @@ def _excitation(q: np.ndarray, limits: dict, rate_hz: float) -> Gate:
     )
 
 
-def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: dict) -> Gate:
+def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: dict[str, Any]) -> Gate:
     low, high = limits
     margin = settings["margin"] * (high - low)
     near = (q <= low + margin) | (q >= high - margin)
@@ -545,7 +550,7 @@ def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: dict
     return Gate("limits", verdict, value, "1", threshold, message, remedy, None, "quality.limits")
 
 
-def noise_cost(sd_m: float, ingest: dict, scales: dict) -> float:
+def noise_cost(sd_m: float, ingest: dict[str, Any], scales: dict[str, float]) -> float:
     """J that white marker noise of SD ``sd_m`` per axis leaves after the low-pass, by eq. 3 of the paper."""
     rate = ingest["rate_hz"]
     impulse = np.zeros(1001)
@@ -556,7 +561,7 @@ def noise_cost(sd_m: float, ingest: dict, scales: dict) -> float:
     return float(position / scales["position_m"] ** 2 + velocity / scales["velocity_m_per_s"] ** 2)
 
 
-def _noise(m: Measured, settings: dict, ingest: dict, scales: dict) -> Gate:
+def _noise(m: Measured, settings: dict[str, Any], ingest: dict[str, Any], scales: dict[str, float]) -> Gate:
     sd = [m.noise_m[name] for name in geometry.INTERFACE_MARKERS if np.isfinite(m.noise_m.get(name, np.nan))]
     if not sd:
         return _gate("noise", None, "1", settings, "no interface marker", "")

@@ -83,7 +83,8 @@ def _violation(points: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 def departures(positions: dict[str, np.ndarray], reference: np.ndarray) -> np.ndarray:
     """Departure (n, 7) [m] of the rigid distances from the reference, NaN where a marker is missing."""
-    return distances(stacked(positions)) - reference
+    departure: np.ndarray = distances(stacked(positions)) - reference
+    return departure
 
 
 def find_swaps(

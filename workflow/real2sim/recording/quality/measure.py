@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -91,7 +92,9 @@ class Measured:
     markerless: Markerless | None = None
 
 
-def measure(trial: RawTrial, reference: np.ndarray, settings: dict, ingest: dict) -> Measured:
+def measure(
+    trial: RawTrial, reference: np.ndarray, settings: dict[str, Any], ingest: dict[str, Any]
+) -> Measured:
     """All figures of a trial; ``reference`` (7,) are the rigid distances of quiet standing [m]."""
     recording = trial.recording
     frames, rate = len(recording.time_s), recording.rate_hz
@@ -152,7 +155,7 @@ def _spacing(time_s: np.ndarray) -> tuple[float, float]:
 
 
 def _pelvis_path(
-    time_s: np.ndarray, clean: dict[str, np.ndarray], rate: float, ingest: dict
+    time_s: np.ndarray, clean: dict[str, np.ndarray], rate: float, ingest: dict[str, Any]
 ) -> alignment.PelvisPath | None:
     if not set(geometry.PELVIS_MARKERS) <= set(clean):
         return None
@@ -187,7 +190,7 @@ def _log_angles(log: RobotLog, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.column_stack([yaw, np.interp(grid, log.joint_time_s, log.joints["arm_roll"][:, 0])])
 
 
-def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: dict) -> Robot:
+def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: dict[str, Any]) -> Robot:
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     angles = _line_angles(clean)
     grid, theirs = _log_angles(log, rate)
@@ -234,7 +237,7 @@ def _robot_clock(
 
 
 def _markerless(
-    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: dict
+    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: dict[str, Any]
 ) -> Markerless | None:
     if pelvis is None or len(coordinates.time_s) < 10:
         return None
@@ -297,7 +300,7 @@ def _rate_by_motion(
     pelvis: alignment.PelvisPath | None,
     clean: dict[str, np.ndarray],
     time_s: np.ndarray,
-    limits: dict,
+    limits: dict[str, Any],
 ) -> None:
     """The rate at which the markers' motion agrees best with that of the other systems."""
     declared = out.rate.declared

@@ -42,7 +42,9 @@ COLUMNS = (
 )
 
 
-def raw_trial(name: str, files: TrialFiles, marker_names: Mapping[str, str], settings: dict) -> RawTrial:
+def raw_trial(
+    name: str, files: TrialFiles, marker_names: Mapping[str, str], settings: dict[str, Any]
+) -> RawTrial:
     """Raw recordings of a trial with our marker names in the world; ``settings`` is the slice ``ingest``."""
     recording = read_markers(files.markers)
     rotation = lab_to_world(settings["lab_to_world"])
@@ -71,32 +73,26 @@ def _readable() -> Gate:
     return Gate("readable", PASS, None, "", None, "all files of the trial can be read and used", "")
 
 
-def _tables(person: Subject, settings: dict) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
+def _tables(person: Subject, settings: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
     """Interface coordinates (n, 6) per trial as the fits will see them, and what ingest refuses."""
     q: dict[str, np.ndarray] = {}
     refused: dict[str, InputError] = {}
     with tempfile.TemporaryDirectory() as scratch:
         neutral = Path(scratch) / "neutral" / "quality.json"
         for name in sorted(person.trials, key=lambda trial: (trial != "neutral", trial)):
-            files, target = person.trials[name], Path(scratch) / name
+            target = Path(scratch) / name
             if name != "neutral" and not neutral.exists():
                 continue
             try:
                 ingest_trial(
                     subject=person.id,
                     trial=name,
-                    tsv=files.markers,
-                    mot=files.markerless,
+                    files=person.trials[name],
                     neutral=None if name == "neutral" else neutral,
-                    log=files.log,
                     marker_names=person.markers,
                     settings=settings,
                     phantom=person.phantom,
-                    out_markers=target / "markers.parquet",
-                    out_pose=target / "pose.parquet",
-                    out_joints=target / "joints.parquet",
-                    out_robot=target / "robot.parquet",
-                    out_quality=target / "quality.json",
+                    out=target,
                 )
             except InputError as error:
                 refused[name] = error
@@ -118,8 +114,10 @@ def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray
     return np.nanmin(both, axis=0), np.nanmax(both, axis=0)
 
 
-def quality_subject(*, subject: str, folder: Path, settings: dict, raw: list[Path], out: Path) -> None:
-    """Gates of all trials of one person, from the raw files; nothing is fitted.
+def quality_subject(
+    *, subject: str, folder: Path, settings: dict[str, Any], raw: list[Path], out: Path
+) -> None:
+    """Write the verdicts of the gates on all trials of one person, from the raw files; nothing is fitted.
 
     Parameters
     ----------
@@ -141,35 +139,25 @@ def quality_subject(*, subject: str, folder: Path, settings: dict, raw: list[Pat
     bounds = _joint_limits(person, q)
     trials: dict[str, dict[str, Any]] = {}
     for name in sorted(person.trials, key=_order):
-        gates = []
         error = unreadable.get(name, refused.get(name))
-        gates.append(_unreadable(error) if error is not None else _readable())
+        gates = [_unreadable(error) if error is not None else _readable()]
         if name in measured:
-            m = measured[name]
             gates += judge(
-                m, session, limits, ingest, scales=settings["scales"], q=q.get(name), limits=bounds
+                measured[name],
+                session,
+                limits,
+                ingest,
+                scales=settings["scales"],
+                q=q.get(name),
+                limits=bounds,
             )
-        verdict = worst(gate.verdict for gate in gates)
+        about = {"schema": 1, "subject": subject, "trial": name, "phantom": person.phantom}
+        verdict = _write_verdict(out / f"{name}.json", about, gates, overrides.get(name))
         trials[name] = {
             "verdict": verdict,
             "override": overrides.get(name),
             "gates": [{"gate": g.gate, "trial": name} | asdict(g) for g in gates],
         }
-        about = {"schema": 1, "subject": subject, "trial": name, "phantom": person.phantom}
-        # only what a fit depends on: the figures of gates.json move when another trial is added
-        stopped = [
-            {"gate": g.gate, "message": g.message, "remedy": g.remedy} for g in gates if g.verdict == REFUSE
-        ]
-        warned = [g.gate for g in gates if g.verdict == WARN]
-        write_json(
-            out / f"{name}.json",
-            about
-            | {"verdict": verdict, "refused": stopped, "warned": warned, "override": overrides.get(name)},
-        )
-        print(
-            f"{subject} {name}: {verdict}" + "".join(f"\n  {s['gate']}: {s['message']}" for s in stopped),
-            flush=True,
-        )
     write_json(
         out / "gates.json",
         {
@@ -183,6 +171,23 @@ def quality_subject(*, subject: str, folder: Path, settings: dict, raw: list[Pat
             "settings": settings,
         },
     )
+
+
+def _write_verdict(path: Path, about: dict[str, Any], gates: list[Gate], override: str | None) -> str:
+    """Write and print the verdict of one trial, and return it."""
+    verdict = worst(gate.verdict for gate in gates)
+    # only what a fit depends on: the figures of gates.json move when another trial is added
+    stopped = [
+        {"gate": g.gate, "message": g.message, "remedy": g.remedy} for g in gates if g.verdict == REFUSE
+    ]
+    warned = [g.gate for g in gates if g.verdict == WARN]
+    write_json(path, about | {"verdict": verdict, "refused": stopped, "warned": warned, "override": override})
+    print(
+        f"{about['subject']} {about['trial']}: {verdict}"
+        + "".join(f"\n  {s['gate']}: {s['message']}" for s in stopped),
+        flush=True,
+    )
+    return verdict
 
 
 def _order(name: str) -> tuple[int, str]:
@@ -206,7 +211,7 @@ def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
 
 
 def _measure_all(
-    person: Subject, limits: dict, ingest: dict
+    person: Subject, limits: dict[str, Any], ingest: dict[str, Any]
 ) -> tuple[dict[str, Measured], dict[str, InputError]]:
     trials: dict[str, RawTrial] = {}
     unreadable: dict[str, InputError] = {}
@@ -237,7 +242,7 @@ def _session(session: Session) -> dict[str, Any]:
     }
 
 
-def quality_table(*, gates: list[Path], settings: dict, out: Path) -> None:
+def quality_table(*, gates: list[Path], settings: dict[str, Any], out: Path) -> None:
     """One row per person, trial and gate; ``settings`` is the slice ``quality``.
 
     Raises InputError where the configuration overrides a person that is not there.

@@ -30,7 +30,13 @@ FREE = np.full(6, np.inf)  # a strap without stops
 
 
 def write_subject(
-    *, subject: str, settings: dict, controllers: dict, robot: Path, out: list[Path], truth: Path
+    *,
+    subject: str,
+    settings: dict[str, Any],
+    controllers: dict[str, Any],
+    robot: Path,
+    out: list[Path],
+    truth: Path,
 ) -> None:
     """Write every raw export of one synthetic person, and the sealed truth.
 
@@ -144,7 +150,13 @@ def _place(settings: dict[str, Any], person: Person, trial: str) -> np.ndarray:
 
 
 def _path_from_start(
-    plant: Robot, motion: Motion, start, rest_rotation, rest_position, pivot, tail: float
+    plant: Robot,
+    motion: Motion,
+    start: np.ndarray,
+    rest_rotation: np.ndarray,
+    rest_position: np.ndarray,
+    pivot: np.ndarray,
+    tail: float,
 ) -> PelvisPath:
     # the pelvis that has q = 0 while the robot stands at its start pose
     rotation, position = plant.rest_middle(start)
@@ -185,7 +197,8 @@ def _base_home(robot: Path) -> np.ndarray:
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(robot))
-    return model.body("base").pos[:2].copy()
+    home: np.ndarray = model.body("base").pos[:2].copy()
+    return home
 
 
 def _reached(paths: TruePaths) -> dict[str, Any]:
@@ -201,7 +214,9 @@ def _subject_yaml(person: Person) -> str:
     return head + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
 
 
-def _truth(settings, person: Person, notes, robot: Path, controllers) -> dict[str, Any]:
+def _truth(
+    settings: dict[str, Any], person: Person, notes: dict[str, Any], robot: Path, controllers: dict[str, Any]
+) -> dict[str, Any]:
     markerless, odometry = (
         exports.markerless_frame(settings, person),
         exports.odometry_frame(settings, person),

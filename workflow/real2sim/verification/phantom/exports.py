@@ -157,7 +157,8 @@ def write_trial_markers(
 
 def smoothed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
     """Fourth-order zero-phase low-pass along the first axis."""
-    return sosfiltfilt(butter(2, cutoff_hz, fs=rate_hz, output="sos"), values, axis=0)
+    filtered: np.ndarray = sosfiltfilt(butter(2, cutoff_hz, fs=rate_hz, output="sos"), values, axis=0)
+    return filtered
 
 
 def true_markers(
@@ -253,7 +254,9 @@ def coordinates(
     return {name: out[name] for name in RAJAGOPAL}
 
 
-def _add_markerless_noise(settings, person, trial, columns, rate) -> None:
+def _add_markerless_noise(
+    settings: dict[str, Any], person: Person, trial: Trial, columns: dict[str, np.ndarray], rate: float
+) -> None:
     if not active(settings, "measurement", "markerless_noise"):
         return
     noise, rng = (
@@ -316,7 +319,9 @@ def write_trial_log(
     write_log(path, log, metadata={"notice": NOTICE})
 
 
-def _odometry(settings, person, joints, rates, base_home) -> dict[str, np.ndarray]:
+def _odometry(
+    settings: dict[str, Any], person: Person, joints: np.ndarray, rates: np.ndarray, base_home: np.ndarray
+) -> dict[str, np.ndarray]:
     heading, origin = odometry_frame(settings, person)
     c, s = np.cos(heading), np.sin(heading)
     xy = (joints[:, :2] + base_home - origin) @ np.array([[c, -s], [s, c]])
@@ -358,6 +363,6 @@ def _wrench(settings: dict[str, Any], person: Person, trial: Trial, t: np.ndarra
     parts = [np.einsum("nji,nj->ni", truth.interface_rotation, v) for v in (truth.force, truth.torque)]
     clean = CubicSpline(truth.time_s, np.hstack(parts))(t)
     rng = stream(settings, person.name, trial.name, "wrench")
-    return clean + np.array([noise["force_sd_n"]] * 3 + [noise["torque_sd_nm"]] * 3) * rng.standard_normal(
-        clean.shape
-    )
+    sd = np.array([noise["force_sd_n"]] * 3 + [noise["torque_sd_nm"]] * 3)
+    noisy: np.ndarray = clean + sd * rng.standard_normal(clean.shape)
+    return noisy

@@ -37,9 +37,9 @@ def leg_angles(
 def _wave(curve: dict[str, Any], target: float, phase: np.ndarray) -> tuple[float, np.ndarray]:
     def raw(p: np.ndarray) -> np.ndarray:
         pairs = enumerate(curve["terms"], start=1)
-        return np.sum(
-            [a * np.cos(2 * np.pi * k * p) + b * np.sin(2 * np.pi * k * p) for k, (a, b) in pairs], axis=0
-        )
+        waves = [a * np.cos(2 * np.pi * k * p) + b * np.sin(2 * np.pi * k * p) for k, (a, b) in pairs]
+        total: np.ndarray = np.sum(waves, axis=0)
+        return total
 
     return curve["mean"], raw(phase) * target / float(np.ptp(raw(np.linspace(0, 1, 400))))
 
@@ -93,4 +93,5 @@ def foot_markers(
 
 
 def _bump(s: np.ndarray) -> np.ndarray:
-    return np.sin(np.pi * np.clip(s, 0, 1)) ** 2
+    bump: np.ndarray = np.sin(np.pi * np.clip(s, 0, 1)) ** 2
+    return bump

@@ -9,10 +9,11 @@ differentiable.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from real2sim.verification.phantom.physics import PelvisPath
+from real2sim.verification.phantom.physics import PelvisPath, Poses
 
 
 def smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +26,8 @@ def smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def smooth_integral(s: np.ndarray) -> np.ndarray:
     """Integral of the septic step from 0 to s, for s in [0, 1]."""
     s = np.clip(s, 0.0, 1.0)
-    return 7 * s**5 - 14 * s**6 + 10 * s**7 - 2.5 * s**8
+    integral: np.ndarray = 7 * s**5 - 14 * s**6 + 10 * s**7 - 2.5 * s**8
+    return integral
 
 
 @dataclass
@@ -82,19 +84,28 @@ class Motion:
         return self.speed * (duration * smooth_integral(s) + np.maximum(t - start - duration, 0.0))
 
 
+class PelvisMotion(Protocol):
+    """Six coordinates (m, 6) and their rates (m, 6) at times t (m,) [s], as `Motion` gives them."""
+
+    duration_s: float
+
+    def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates and rates [SI]."""
+
+
 def _axes(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.cos(angle), np.sin(angle)
 
 
 def pelvis_path(
-    motion: Motion,
+    motion: PelvisMotion,
     heading: float,
     rest_rotation: np.ndarray,
     rest_position: np.ndarray,
     pivot: np.ndarray,
     tail_s: float,
 ) -> PelvisPath:
-    """World path of a pelvis that starts at (``rest_rotation`` (3, 3), ``rest_position`` (3,)).
+    """Return the world path of a pelvis that starts at (``rest_rotation`` (3, 3), ``rest_position`` (3,)).
 
     ``heading`` [rad] turns the motion's x axis; ``pivot`` (3,) [m] is the turning point in pelvis axes.
     """
@@ -103,7 +114,7 @@ def pelvis_path(
     tilted = turn.T @ rest_rotation
     pivot_rest = rest_position + rest_rotation @ pivot
 
-    def evaluate(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(t: np.ndarray) -> Poses:
         u, du = motion(t)
         (cr, sr), (cp, sp), (cy, sy) = (_axes(u[:, i]) for i in (3, 4, 5))
         rotation = np.empty((len(t), 3, 3))

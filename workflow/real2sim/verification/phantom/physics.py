@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -25,6 +25,9 @@ from real2sim.system.batches import untimed_batch
 AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
 BASE_JOINTS = ("base_x", "base_y", "base_yaw")
 ARM_JOINTS = ("arm_lift", "arm_roll", "arm_pitch")
+
+# Rotation (n, 3, 3), position (n, 3) [m], velocity (n, 3) [m/s] and angular velocity (n, 3) [rad/s]
+Poses = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class StrapLaw:
 
     def generalised_force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Force on the interface along q (n, 6) [N, Nm]: -(K q + D qdot) and the stops, which only push."""
-        force = -(self.stiffness * q + self.damping * qd)
+        force: np.ndarray = -(self.stiffness * q + self.damping * qd)
         excess = q - np.minimum(np.maximum(q, self.lower), self.upper)
         if excess.any():
             push = np.maximum(0.0, 1.0 + self.stop_damping * qd * np.sign(excess))
@@ -81,21 +84,18 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return np.matmul(rotation, vector[..., None])[..., 0]
+    turned: np.ndarray = np.matmul(rotation, vector[..., None])[..., 0]
+    return turned
 
 
 def strap_wrench(
-    law: StrapLaw,
-    pelvis: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    interface: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    law: StrapLaw, pelvis: Poses, interface: Poses
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Wrench of the strap on the interface, from poses and velocities of pelvis and interface in the world.
+    """Return the wrench of the strap on the interface, from the poses of pelvis and interface in the world.
 
-    ``pelvis`` and ``interface`` are (rotation (n, 3, 3), position (n, 3), velocity (n, 3), angular velocity
-    (n, 3)). Returns force (n, 3) at the interface midpoint [N] and torque (n, 3) [Nm] in world axes, q (n,
-    6) and its rate (n, 6). The map is the transposed Jacobian of three slides along the pelvis axes
-    followed by hinges x, y, z, so that F·v + tau·omega equals the generalised force times qdot (contract,
-    section 2).
+    Returns force (n, 3) at the interface midpoint [N] and torque (n, 3) [Nm] in world axes, q (n, 6) [m, rad] and
+    its rate (n, 6). The map is the transposed Jacobian of three slides along the pelvis axes followed by hinges x,
+    y, z, so that F·v + tau·omega equals the generalised force times qdot.
     """
     r_p, p_p, v_p, w_p = pelvis
     r_i, p_i, v_i, w_i = interface
@@ -129,10 +129,10 @@ def strap_wrench(
 class PelvisPath:
     """A prescribed pelvis in the world; called with times t (m,) [s]."""
 
-    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    evaluate: Callable[[np.ndarray], Poses]
     duration_s: float
 
-    def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def __call__(self, t: np.ndarray) -> Poses:
         """Rotation (m, 3, 3), position, velocity, angular velocity (m, 3) at times t (m,) [s]."""
         return self.evaluate(t)
 
@@ -283,10 +283,24 @@ def simulate_centres(
     """As `simulate`, for many trials of one duration: joint centres left, right (n, m, 2, 3) [m] alone."""
     runs, back = _sorted(_Centres, robot, paths, law, controllers, rate_hz, effects, added_mass)
     runs.run()
-    return runs.centres()[back]
+    centres: np.ndarray = runs.centres()[back]
+    return centres
 
 
-def _sorted(kind, robot, paths, law, controllers, rate_hz, effects, added_mass):
+_AnyRuns = TypeVar("_AnyRuns", bound="_Runs")
+
+
+def _sorted(
+    kind: type[_AnyRuns],
+    robot: Robot,
+    paths: list[PelvisPath],
+    law: StrapLaw,
+    controllers: list[Controller],
+    rate_hz: float,
+    effects: Sequence[RobotEffect],
+    added_mass: np.ndarray | None,
+) -> tuple[_AnyRuns, np.ndarray]:
+    # the runs, and where each trial is among them
     order = np.argsort([-p.duration_s for p in paths], kind="stable")
     if len(effects) and (order != np.arange(len(paths))).any():
         raise ValueError("effects on the robot need trials of one duration")
@@ -295,10 +309,27 @@ def _sorted(kind, robot, paths, law, controllers, rate_hz, effects, added_mass):
     return runs, np.argsort(order)
 
 
+@dataclass
+class _Follower:
+    """A trial whose base follows the pelvis: its index, the controller's keys, the estimated speed (steps,) [m/s]."""
+
+    trial: int
+    follow: dict[str, float]
+    feedforward: np.ndarray
+    pelvis_start: np.ndarray
+
+
 class _Runs:
     """Trials sorted by falling duration, so that those still running are always the first ones."""
 
-    def __init__(self, robot, paths, law, controllers, rate_hz):
+    def __init__(
+        self,
+        robot: Robot,
+        paths: list[PelvisPath],
+        law: StrapLaw,
+        controllers: list[Controller],
+        rate_hz: float,
+    ):
         self.robot, self.paths, self.law = robot, paths, law
         self.every = round(1 / (rate_hz * robot.step_s))
         if abs(self.every * rate_hz * robot.step_s - 1) > 1e-9:
@@ -307,19 +338,20 @@ class _Runs:
         self.start = np.array([c.start for c in controllers])
         self.stiffness = np.array([c.stiffness for c in controllers])
         self.damping = np.array([c.damping for c in controllers])
-        self.follows = [(i, c.follow) for i, c in enumerate(controllers) if c.follow]
-        self.feedforward = {
-            i: _follow_feedforward(f, paths[i], self.start[i, 2], robot.step_s, self.steps[i] + 1)
-            for i, f in self.follows
-        }
-        self.pelvis_start = {i: paths[i](np.zeros(1))[1][0, :2] for i, _ in self.follows}
+        self.followers = [self._follower(i, c.follow) for i, c in enumerate(controllers) if c.follow]
         self.rate_hz = rate_hz
         self.effects: Sequence[RobotEffect] = ()
         self.added_mass: np.ndarray | None = None
         self.failed = np.zeros(len(paths), bool)
         self.samples: list[tuple[np.ndarray, ...]] = []
 
+    def _follower(self, trial: int, follow: dict[str, float]) -> _Follower:
+        path, heading = self.paths[trial], self.start[trial, 2]
+        speed = _follow_feedforward(follow, path, heading, self.robot.step_s, self.steps[trial] + 1)
+        return _Follower(trial, follow, speed, path(np.zeros(1))[1][0, :2])
+
     def run(self) -> None:
+        """Step all trials from the first sample to the last."""
         n, total = len(self.paths), int(self.steps[0])
         batch = untimed_batch(self.robot.model, n, 1, persistent=True)
         if self.added_mass is not None:
@@ -360,9 +392,9 @@ class _Runs:
                 wrench[:active, self.robot.body, 3:] = torque - _cross(shift, force)
                 joints = -self.stiffness[:active] * (positions - self.start[:active])
                 joints -= self.damping[:active] * v_now
-                for i, follow in self.follows:
-                    if i < active:
-                        joints[i, :2] = self._follow(i, follow, step, here, positions, v_now)
+                for one in self.followers:
+                    if one.trial < active:
+                        joints[one.trial, :2] = self._follow(one, step, here, positions, v_now)
                 if self.effects:
                     on_bodies = np.zeros((active, 3, 3))
                     seen = Step(step * self.robot.step_s, positions, v_now, force, torque)
@@ -381,22 +413,26 @@ class _Runs:
         parts = [seen[id(path)] for path in self.paths[:active]]
         return tuple(np.ascontiguousarray(np.stack([p[c] for p in parts], axis=1)) for c in range(4))
 
-    def _follow(self, i, follow, step, pelvis, positions, rates) -> np.ndarray:
+    def _follow(
+        self, follower: _Follower, step: int, pelvis: Poses, positions: np.ndarray, rates: np.ndarray
+    ) -> np.ndarray:
         """Planar force (2,) on the base: speed servo along the start heading, spring and damper across it."""
+        i, follow = follower.trial, follower.follow
         heading = self.start[i, 2]
         along = np.array([np.cos(heading), np.sin(heading)])
         across = np.array([-along[1], along[0]])
         travelled = positions[i, :2] - self.start[i, :2]
-        stretch = along @ (pelvis[1][i, :2] - self.pelvis_start[i] - travelled)
-        wanted = self.feedforward[i][step] + follow["distance_gain"] * stretch
+        stretch = along @ (pelvis[1][i, :2] - follower.pelvis_start - travelled)
+        wanted = follower.feedforward[step] + follow["distance_gain"] * stretch
         wanted = min(max(wanted, 0.0), follow["speed_cap"])
         push = follow["servo_gain"] * (wanted - along @ rates[i, :2])
         push = min(max(push, -follow["force_cap"]), follow["force_cap"])
         aside = -self.stiffness[i, 1] * (across @ travelled) - self.damping[i, 1] * (across @ rates[i, :2])
-        return push * along + aside * across
+        force: np.ndarray = push * along + aside * across
+        return force
 
-    def _sample(self, active, pelvis, state, positions, v, q, qd, force, torque) -> None:
-        row = [pelvis[0], pelvis[1], state[0], state[1], positions, v, q, qd, force, torque]
+    def _sample(self, active: int, pelvis: Poses, interface: Poses, *rest: np.ndarray) -> None:
+        row = [pelvis[0], pelvis[1], interface[0], interface[1], *rest]
         self.samples.append(tuple(np.array(x) for x in row))
 
     def collect(self, trial: int) -> TruePaths:
@@ -417,9 +453,10 @@ class _Runs:
 class _Centres(_Runs):
     """Keeps the joint centres alone: hundreds of trials at once would fill the memory."""
 
-    def _sample(self, active, pelvis, state, positions, v, q, qd, force, torque) -> None:
-        offset = state[0] @ self.robot.side
-        self.samples.append((np.stack([state[1] + offset, state[1] - offset], axis=1),))
+    def _sample(self, active: int, pelvis: Poses, interface: Poses, *rest: np.ndarray) -> None:
+        rotation, position = interface[:2]
+        offset = rotation @ self.robot.side
+        self.samples.append((np.stack([position + offset, position - offset], axis=1),))
 
     def centres(self) -> np.ndarray:
         """Left and right joint centres (n, m, 2, 3) [m]."""

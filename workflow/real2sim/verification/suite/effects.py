@@ -14,10 +14,13 @@ import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 from scipy.spatial.transform import Rotation
 
-from real2sim.verification.phantom.physics import AXES, PelvisPath
+from real2sim.verification.phantom.physics import AXES, PelvisPath, Poses
 from real2sim.verification.suite import laws
 from real2sim.verification.suite.measurement import Markers, Recording, pelvis_pose, sampled
 from real2sim.verification.suite.setups import Setup
+
+# Quantities of an effect's equation by name: numbers, arrays per axis (6,), or words
+Values = dict[str, Any]
 
 # Which axes an interface effect sits on: mostly one, the translations a little more often
 _AXIS_WEIGHT = np.array([0.2, 0.2, 0.2, 0.14, 0.12, 0.14])
@@ -52,7 +55,7 @@ class Draw:
     """One draw of a form: the axes it sits on and what does not depend on the severity."""
 
     axes: np.ndarray = field(default_factory=lambda: np.zeros(6, bool))
-    values: dict[str, Any] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
 
 
 class Form:
@@ -78,19 +81,19 @@ class Form:
         """Draw what does not depend on the severity."""
         return Draw()
 
-    def values(self, draw: Draw, severity: float, about: Context) -> dict[str, Any]:
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         """Quantities of the equation [SI]: (6,) per axis, or scalars and short lists."""
         raise NotImplementedError
 
-    def change(self, setup: Setup, values: dict[str, Any], trial: str, about: Context) -> None:
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         """Put the effect into a simulation."""
 
-    def record(self, recording: Recording, values: dict[str, Any], about: Context) -> None:
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         """Put the effect into what is recorded."""
 
-    def truth(self, draw: Draw, values: dict[str, Any]) -> dict[str, Any]:
+    def truth(self, draw: Draw, values: Values) -> Values:
         """Parameters as they are sealed, the unit in their name."""
-        out: dict[str, Any] = {}
+        out: Values = {}
         for name, unit in self.units.items():
             value = values[name]
             if isinstance(unit, tuple):
@@ -141,10 +144,10 @@ class StrapForm(Form):
 
     stage = "interface"
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(_axes(rng), self.fixed(rng, about))
 
-    def fixed(self, rng: np.random.Generator, about: Context) -> dict[str, Any]:
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         """Draw the shape parameters."""
         return {}
 
@@ -156,7 +159,10 @@ def _stick(about: Context) -> np.ndarray:
 
 def _strongest(about: Context) -> np.ndarray:
     """Largest friction (6,): 60 N and 4 Nm, and no more than the strap's own force, else nothing ever slips."""
-    return np.minimum(_limit(60.0, 4.0), about.stiffness * about.reach + about.damping * about.speed)
+    most: np.ndarray = np.minimum(
+        _limit(60.0, 4.0), about.stiffness * about.reach + about.damping * about.speed
+    )
+    return most
 
 
 # -------------------- interface: springs
@@ -171,11 +177,11 @@ class Slack(StrapForm):
     units: ClassVar = {"half_width": _LENGTH}
     term: ClassVar[type[laws.Term]] = laws.Slack
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         most = np.minimum(_limit(0.030, np.radians(10)), 0.9 * about.reach)
         return {"half_width": draw.axes * severity * most}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((self.term, {"half_width": values["half_width"], "stiffness": about.stiffness}))
 
 
@@ -195,17 +201,17 @@ class OneSided(StrapForm):
     effect = form = "one_sided"
     units: ClassVar = {"one_sided_stiffness": _STIFFNESS, "onset": _LENGTH, "side": ""}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"side": rng.choice([-1.0, 1.0]), "onset": rng.uniform(0, 0.15)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "one_sided_stiffness": draw.axes * severity * about.stiffness,
             "onset": draw.axes * draw.values["onset"] * about.reach,
             "side": draw.values["side"],
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         share = {"share": np.ones(6), "stiffness": values["one_sided_stiffness"]}
         side = np.full(6, values["side"])
         setup.terms.append((laws.OneSided, share | {"side": side, "onset": values["onset"]}))
@@ -218,7 +224,7 @@ class SoftOneSided(OneSided):
     form = "one_sided_soft"
     family = "one_sided"
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         share = {"share": np.ones(6), "stiffness": values["one_sided_stiffness"]}
         side = np.full(6, values["side"])
         setup.terms.append((laws.SoftOneSided, share | {"side": side, "rounding": 0.25 * about.reach}))
@@ -232,10 +238,10 @@ class Stiffening(StrapForm):
     regime = "large amplitude"
     units: ClassVar = {"cubic": ("N/m3", "Nm/rad3")}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"cubic": draw.axes * severity * 4 * about.stiffness / about.reach**2}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Cubic, {"cubic": values["cubic"]}))
 
 
@@ -249,10 +255,10 @@ class ExponentialStiffening(StrapForm):
     regime = "large amplitude"
     units: ClassVar = {"length": _LENGTH}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"length": np.where(draw.axes, about.reach / (3 * severity), 1e6)}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Exponential, {"length": values["length"], "stiffness": about.stiffness}))
 
 
@@ -263,14 +269,14 @@ class AsymmetricStiffness(StrapForm):
     effect = form = "asymmetric_stiffness"
     units: ClassVar = {"quadratic": ("N/m2", "Nm/rad2")}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"sign": rng.choice([-1.0, 1.0])}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         slope = 0.45 * severity * draw.values["sign"]
         return {"quadratic": draw.axes * slope * about.stiffness / about.reach}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Quadratic, {"quadratic": values["quadratic"], "range": about.reach}))
 
 
@@ -283,22 +289,22 @@ class TwoSlopes(StrapForm):
     family = "asymmetric_stiffness"
     units: ClassVar = {"asymmetry": ("1", "1")}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"sign": rng.choice([-1.0, 1.0])}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"asymmetry": draw.axes * 0.6 * severity * draw.values["sign"]}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.TwoSlopes, {"asymmetry": values["asymmetry"], "stiffness": about.stiffness}))
 
 
 class _Coupling(StrapForm):
     # full matrices between axes
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Matrix, {"stiffness": values["stiffness"], "damping": values["damping"]}))
 
-    def truth(self, draw, values):
+    def truth(self, draw: Draw, values: Values) -> Values:
         scalars = super().truth(draw, values)
         entries = {}
         for name, units in (("stiffness", _STIFFNESS), ("damping", _DAMPING)):
@@ -314,11 +320,11 @@ class CrossCoupling(_Coupling):
 
     effect = form = "cross_coupling"
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         axes = _axes(rng, both=True)
         return Draw(axes, {"sign": rng.choice([-1.0, 1.0]), "damping": bool(rng.random() < 0.3)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         i, j = np.flatnonzero(draw.axes)
         of = about.damping if draw.values["damping"] else about.stiffness
         matrix = np.zeros((6, 6))
@@ -335,7 +341,7 @@ class Misalignment(_Coupling):
     effect = form = "misalignment"
     units: ClassVar = {"angle": "rad", "about_axis": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         turn = int(rng.integers(3))
         others = [i for i in range(3) if i != turn]
         chosen = np.zeros(6, bool)
@@ -343,7 +349,7 @@ class Misalignment(_Coupling):
         chosen[[3 + i for i in others]] = True
         return Draw(chosen, {"turn": turn, "sign": rng.choice([-1.0, 1.0])})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         angle = np.radians(20) * severity * draw.values["sign"]
         turned = np.kron(np.eye(2), Rotation.from_rotvec(angle * np.eye(3)[draw.values["turn"]]).as_matrix())
         parts = {
@@ -352,7 +358,7 @@ class Misalignment(_Coupling):
         }
         return parts | {"angle": angle, "about_axis": "xyz"[draw.values["turn"]]}
 
-    def truth(self, draw, values):
+    def truth(self, draw: Draw, values: Values) -> Values:
         return Form.truth(self, draw, values)
 
 
@@ -364,13 +370,13 @@ class Preload(StrapForm):
     moves_model = True
     units: ClassVar = {"shift": _LENGTH}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"sign": rng.choice([-1.0, 1.0], 6)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"shift": draw.axes * severity * draw.values["sign"] * _limit(0.025, np.radians(6))}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial != "neutral":
             _rest_elsewhere(setup, values["shift"])
 
@@ -392,7 +398,7 @@ def _moved(setup: Setup, rotation: np.ndarray, position: np.ndarray) -> PelvisPa
     turn = r0.T @ r1
     path, lever = setup.path, p1 - p0
 
-    def evaluate(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate(t: np.ndarray) -> Poses:
         r, p, v, w = path(t)
         return r @ turn, p + lever, v, w
 
@@ -408,15 +414,15 @@ class JointLimit(StrapForm):
     regime = "large amplitude"
     units: ClassVar = {"limit": _LENGTH, "side": ""}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"side": rng.choice([-1.0, 1.0])}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         side = draw.values["side"]
         reach = about.upper if side > 0 else -about.lower
         return {"limit": np.where(draw.axes, reach * (1 - 0.6 * severity), np.inf), "side": side}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if values["side"] > 0:
             setup.upper = np.minimum(setup.upper, values["limit"])
         else:
@@ -431,11 +437,11 @@ class SoftStop(JointLimit):
     family = "joint_limit"
     units: ClassVar = {"limit": _LENGTH, "side": "", "curvature": ("N/m2", "Nm/rad2")}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         hard = super().values(draw, severity, about)
         return hard | {"curvature": draw.axes * 60 * about.stiffness / about.reach}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         limit = np.where(np.isfinite(values["limit"]), values["limit"], 1e6)
         side = np.full(6, values["side"])
         setup.terms.append((laws.SoftStop, {"limit": limit, "side": side, "curvature": values["curvature"]}))
@@ -452,10 +458,10 @@ class Coulomb(StrapForm):
     regime = "reversals"
     units: ClassVar = {"friction": _FORCE}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"friction": draw.axes * severity * _strongest(about)}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         f = values["friction"]
         setup.terms.append((laws.Stick, {"upper": f, "lower": f, "spring": _stick(about)}))
 
@@ -468,14 +474,14 @@ class AsymmetricCoulomb(Coulomb):
     family = "coulomb"
     units: ClassVar = {"friction": _FORCE, "friction_back": _FORCE}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"back": rng.uniform(0.4, 0.8)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         f = draw.axes * severity * _strongest(about)
         return {"friction": f, "friction_back": draw.values["back"] * f}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         ends = {"upper": values["friction"], "lower": values["friction_back"]}
         setup.terms.append((laws.Stick, ends | {"spring": _stick(about)}))
 
@@ -493,14 +499,14 @@ class LuGre(StrapForm):
         "bristle": _STIFFNESS,
     }
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {
             "ratio": rng.uniform(1.4, 2.2),
             "stribeck": rng.uniform(0.03, 0.10),
             "travel": rng.uniform(0.01, 0.04),
         }
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         drawn = draw.values
         coulomb = draw.axes * severity * _strongest(about) / drawn["ratio"]
         bristle = coulomb / (drawn["travel"] * about.reach)
@@ -511,7 +517,7 @@ class LuGre(StrapForm):
             "bristle": np.minimum(np.where(draw.axes, bristle, 1.0), _stick(about)),
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         names = {"coulomb": "coulomb", "static": "static", "stribeck": "stribeck", "spring": "bristle"}
         setup.terms.append((laws.LuGre, {name: values[key] for name, key in names.items()}))
 
@@ -523,7 +529,7 @@ class Stribeck(LuGre):
     form = "lugre_stribeck"
     family = "lugre"
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         values = super().values(draw, severity, about)
         return values | {"bristle": _stick(about), "stribeck": 0.3 * values["stribeck"]}
 
@@ -536,17 +542,17 @@ class Hysteresis(StrapForm):
     units: ClassVar = {"strength": _FORCE, "yield_travel": _LENGTH, "shape": ""}
     term: ClassVar[type[laws.Term]] = laws.BoucWen
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"travel": rng.uniform(0.10, 0.40), "shape": rng.uniform(0.5, 0.8)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "strength": draw.axes * severity * _strongest(about),
             "yield_travel": draw.values["travel"] * about.reach,
             "shape": draw.values["shape"],
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((self.term, dict(values)))
 
 
@@ -568,13 +574,13 @@ class Relaxation(StrapForm):
     units: ClassVar = {"branch": _STIFFNESS, "tau": "s"}
     times: ClassVar[tuple[float, float]] = (0.08, 0.9)
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"tau": float(np.exp(rng.uniform(*np.log(self.times))))}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"branch": draw.axes * 1.5 * severity * about.stiffness, "tau": draw.values["tau"]}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Maxwell, dict(values)))
 
 
@@ -587,13 +593,13 @@ class TwoTimeConstants(StrapForm):
     family = "relaxation"
     units: ClassVar = {"branch": _STIFFNESS, "tau": "s"}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"tau": np.array([rng.uniform(0.06, 0.15), rng.uniform(0.5, 1.2)])}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"branch": draw.axes * 1.2 * severity * about.stiffness, "tau": draw.values["tau"]}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         branch = np.repeat(values["branch"][:, None] / 2, 2, axis=1)
         setup.terms.append((laws.Prony, {"branch": branch, "tau": values["tau"]}))
 
@@ -617,13 +623,13 @@ class LogCreep(StrapForm):
     regime = "holds"
     units: ClassVar = {"branch": _STIFFNESS, "tau": "s"}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "branch": draw.axes * 1.5 * severity * about.stiffness,
             "tau": np.array([1.0, 3.2, 10.0, 32.0]),
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         branch = np.repeat(values["branch"][:, None] / 4, 4, axis=1)
         setup.terms.append((laws.Prony, {"branch": branch, "tau": values["tau"]}))
 
@@ -636,17 +642,17 @@ class Migration(StrapForm):
     regime = "after large amplitude"
     units: ClassVar = {"slip_rate": ("1/s", "1/s"), "threshold": _LENGTH, "side": ""}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"side": rng.choice([-1.0, 1.0]), "threshold": rng.uniform(0.25, 0.55)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "slip_rate": draw.axes * 8 * severity,
             "threshold": np.where(draw.axes, draw.values["threshold"] * about.reach, 1e6),
             "side": draw.values["side"],
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial == "neutral":
             return
         numbers = {"rate": values["slip_rate"], "threshold": values["threshold"]}
@@ -664,14 +670,14 @@ class SteadyMigration(StrapForm):
     regime = "late"
     units: ClassVar = {"rate": ("m/s", "rad/s")}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"sign": rng.choice([-1.0, 1.0])}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         most = _limit(0.025, np.radians(8)) / about.duration_s
         return {"rate": draw.axes * severity * draw.values["sign"] * most}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial != "neutral":
             wander = {"rate": values["rate"], "onset": about.start_s, "stiffness": about.stiffness}
             setup.terms.append((laws.Wander, wander))
@@ -686,11 +692,11 @@ class QuadraticDamping(StrapForm):
     exponent: ClassVar[float] = 2.0
     units: ClassVar = {"coefficient": ("Ns2/m2", "Nms2/rad2")}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         most = 4 * about.damping * about.speed ** (1 - self.exponent)
         return {"coefficient": draw.axes * severity * most}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         term = {"coefficient": values["coefficient"], "exponent": self.exponent}
         setup.terms.append((laws.PowerDamping, term))
 
@@ -717,14 +723,14 @@ class AddedMass(Form):
     regime = "fast"
     units: ClassVar = {"mass": "kg", "inertia": "kgm2"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"radius": rng.uniform(0.10, 0.18), "flat": rng.uniform(0.5, 1.0, 3)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         mass = 8.0 * severity
         return {"mass": mass, "inertia": mass * draw.values["radius"] ** 2 * draw.values["flat"]}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.added = setup.added + np.array([values["mass"], *values["inertia"]])
 
 
@@ -736,16 +742,16 @@ class BaseCompliance(Form):
     stage = "robot"
     units: ClassVar = {"stiffness_factor": "", "damping_factor": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"stiffness": rng.uniform(-1, 1, 3), "damping": rng.uniform(-1, 1, 3)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             f"{name}_factor": np.exp(np.log(6) * severity * draw.values[name])
             for name in ("stiffness", "damping")
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         for name in ("stiffness", "damping"):
             changed = getattr(setup.controller, name).copy()
             changed[:3] *= values[f"{name}_factor"]
@@ -762,14 +768,14 @@ class SeriesCompliance(Form):
     family = "base_compliance"
     units: ClassVar = {"branch": "", "tau": "s"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"tau": rng.uniform(0.1, 0.6), "share": rng.uniform(0.5, 1.0, 3)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         most = 8 * np.array([150.0, 300.0, 60.0])
         return {"branch": severity * most * draw.values["share"], "tau": draw.values["tau"]}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.SeriesCompliance, dict(values)))
 
 
@@ -781,17 +787,17 @@ class ControllerReaction(Form):
     stage = "robot"
     units: ClassVar = {"gain": "", "delay": "s"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"delay": rng.uniform(0.05, 0.25), "sign": rng.choice([-1.0, 1.0], p=[0.3, 0.7])})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "gain": 0.9 * severity * draw.values["sign"],
             "delay": draw.values["delay"],
             "filter": 0.0,
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.Reaction, dict(values)))
 
 
@@ -803,7 +809,7 @@ class SmoothReaction(ControllerReaction):
     family = "controller_reaction"
     units: ClassVar = {"gain": "", "filter": "s"}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         values = super().values(draw, severity, about)
         return values | {"filter": values["delay"], "delay": 0.0}
 
@@ -817,7 +823,7 @@ class Tilt(Form):
     moves_model = True
     units: ClassVar = {"angle": "rad", "direction": "rad", "sway": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(
             values={
                 "direction": rng.uniform(-np.pi, np.pi),
@@ -827,12 +833,12 @@ class Tilt(Form):
             }
         )
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         # no more than stretches the strap by 30 mm at the start
         held = 0.030 * about.stiffness[:2].min() / (9.81 * about.masses.sum())
         return {"angle": min(np.radians(2.5), held) * severity, **draw.values}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial == "neutral":
             return
         lean = np.sin(values["angle"]) * np.array(
@@ -855,7 +861,7 @@ class SwayingTilt(Tilt):
     family = "tilt"
     units: ClassVar = {"angle": "rad", "direction": "rad", "sway": "", "frequency": "Hz"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         draw = super().draw(rng, about)
         draw.values["sway"] = 0.5
         return draw
@@ -880,7 +886,7 @@ class SoftTissue(InputForm):
     units: ClassVar = {"scale": "m/rad"}
     wobble: ClassVar[float] = 0.0
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(
             values={
                 "pattern": rng.standard_normal((4, 3, 3)),
@@ -889,10 +895,10 @@ class SoftTissue(InputForm):
             }
         )
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"scale": 0.060 * severity, **draw.values}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         clean = recording.pelvis
         # what the markers follow, on a grid that carries a wobble
         grid = np.arange(-1.0, recording.duration_s + 0.2, 0.002)
@@ -913,7 +919,7 @@ class SoftTissue(InputForm):
 
         recording.pelvis = moved
 
-    def truth(self, draw, values):
+    def truth(self, draw: Draw, values: Values) -> Values:
         return super().truth(draw, values) | {"pattern": values["pattern"].tolist()}
 
 
@@ -933,7 +939,8 @@ def _resonant(values: np.ndarray, hz: float, damping: float, rate_hz: float) -> 
 
     w = 2 * np.pi * hz
     b, a = bilinear([2 * damping * w, w * w], [1, 2 * damping * w, w * w], rate_hz)
-    return lfilter(b, a, values - values[0], axis=0) + values[0]
+    response: np.ndarray = lfilter(b, a, values - values[0], axis=0) + values[0]
+    return response
 
 
 @register
@@ -944,10 +951,10 @@ class ReplayLag(InputForm):
     regime = "fast"
     units: ClassVar = {"lag": "s"}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"lag": 0.060 * severity}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         clean = recording.pelvis
         recording.pelvis = lambda t: clean(t - values["lag"])
 
@@ -962,13 +969,13 @@ class LabYaw(Form):
     moves_model = True
     units: ClassVar = {"yaw": "rad"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"sign": rng.choice([-1.0, 1.0])})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"yaw": np.radians(6) * severity * draw.values["sign"]}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         turn = Rotation.from_euler("z", values["yaw"]).as_matrix()
         centres, axes = recording.interface, recording.axes
         recording.interface = lambda t: centres(t) @ turn.T
@@ -1010,13 +1017,13 @@ class SyncOffset(OutputForm):
     regime = "fast"
     units: ClassVar = {"offset": "s"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"sign": rng.choice([-1.0, 1.0])})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"offset": 0.060 * severity * draw.values["sign"]}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         _retime(recording, lambda t: t - values["offset"])
 
 
@@ -1028,13 +1035,13 @@ class ClockDrift(OutputForm):
     regime = "late"
     units: ClassVar = {"rate": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"sign": rng.choice([-1.0, 1.0])})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"rate": 0.01 * severity * draw.values["sign"]}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         _retime(recording, lambda t: (1 + values["rate"]) * t)
 
 
@@ -1047,10 +1054,10 @@ class FilterLag(OutputForm):
     order: ClassVar[int] = 1
     units: ClassVar = {"cutoff": "Hz"}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"cutoff": 2.5 / severity}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         rate = 1000.0
         grid = np.arange(0.0, recording.duration_s + 0.2, 1 / rate)
         flat = recording.interface(grid).reshape(len(grid), 6)
@@ -1068,7 +1075,7 @@ class SteepFilter(FilterLag):
     family = "filter_lag"
     order = 4
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"cutoff": 5.0 / severity}
 
 
@@ -1080,11 +1087,11 @@ class MarkerOffset(OutputForm):
     moves_model = True
     units: ClassVar = {"offset": "m", "marker": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         way = rng.standard_normal(3)
         return Draw(values={"side": int(rng.integers(2)), "way": way / np.linalg.norm(way)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         side = draw.values["side"]
         return {
             "offset": 0.025 * severity * draw.values["way"],
@@ -1092,7 +1099,7 @@ class MarkerOffset(OutputForm):
             "side": side,
         }
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         axes = recording.axes
         _displace(recording, values["side"], lambda t: axes(t) @ values["offset"])
 
@@ -1105,16 +1112,16 @@ class MarkerDrift(OutputForm):
     regime = "late"
     units: ClassVar = {"rate": "m/s", "marker": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         way = rng.standard_normal(3)
         return Draw(values={"side": int(rng.integers(2)), "way": way / np.linalg.norm(way)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         side = draw.values["side"]
         rate = 0.030 * severity / about.duration_s * draw.values["way"]
         return {"rate": rate, "marker": ("IF_L", "IF_R")[side], "side": side}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         if recording.dynamic:
             _displace(recording, values["side"], lambda t: np.maximum(t, 0.0)[:, None] * values["rate"])
 
@@ -1126,13 +1133,13 @@ class Outliers(OutputForm):
     effect = form = "outliers"
     units: ClassVar = {"height": "m", "count": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"count": int(rng.integers(6, 19)), "seed": int(rng.integers(2**31))})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"height": 0.080 * severity, **draw.values}
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         if not recording.dynamic:
             return
         rng = np.random.default_rng([values["seed"], len(recording.name), ord(recording.name[-1])])
@@ -1159,7 +1166,7 @@ class ExternalPush(Form):
     stage = "robot"
     units: ClassVar = {"force": "N", "period": "s", "direction": "rad"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(
             values={
                 "period": rng.uniform(0.9, 2.2),
@@ -1169,10 +1176,10 @@ class ExternalPush(Form):
             }
         )
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"force": 80.0 * severity, **draw.values}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial == "neutral":
             return
         times = about.start_s + values["first"] + values["period"] * np.arange(12)
@@ -1189,14 +1196,14 @@ class HandOnRobot(Form):
     stage = "robot"
     units: ClassVar = {"stiffness": "N/m"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         gaps = rng.uniform(1.2, 2.8, 8)
         return Draw(values={"times": about.start_s + np.cumsum(gaps), "width": rng.uniform(0.4, 0.9)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"stiffness": 6000.0 * severity, **draw.values}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial == "neutral":
             return
         lever = np.array([1.0, 1.0, 0.3, 1.0, 0.05, 0.05])
@@ -1214,13 +1221,13 @@ class WheelCogging(Form):
     stage = "robot"
     units: ClassVar = {"force": "N", "pitch": "m"}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"pitch": rng.uniform(0.010, 0.040), "phase": rng.uniform(0, 2 * np.pi, 2)})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"force": 60.0 * severity, **draw.values}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial == "neutral":
             return
         at_start = 2 * np.pi * setup.controller.start[:2] / values["pitch"]
@@ -1236,10 +1243,10 @@ class FractionalDamping(StrapForm):
     effect = form = "fractional_damping"
     units: ClassVar = {"branch": _STIFFNESS}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"branch": draw.axes * 3 * severity * about.stiffness}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         tau = np.geomspace(0.02, 2.0, 6)
         share = tau**-0.5 / np.sum(tau**-0.5)
         setup.terms.append((laws.Prony, {"branch": values["branch"][:, None] * share, "tau": tau}))
@@ -1252,11 +1259,11 @@ class BacklashImpact(StrapForm):
     effect = form = "backlash_impact"
     units: ClassVar = {"half_width": _LENGTH}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         most = np.minimum(_limit(0.020, np.radians(7)), 0.6 * about.reach)
         return {"half_width": draw.axes * severity * most}
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         on = values["half_width"] > 0
         knock = on * 1.5 * np.sqrt(about.stiffness * about.mobility)
         play = {"half_width": values["half_width"], "stiffness": on * about.stiffness}
@@ -1270,17 +1277,17 @@ class PoseStick(StrapForm):
     effect = form = "pose_stick"
     units: ClassVar = {"depth": _FORCE, "place": _LENGTH, "width": _LENGTH}
 
-    def fixed(self, rng, about):
+    def fixed(self, rng: np.random.Generator, about: Context) -> Values:
         return {"place": rng.choice([-1, 1]) * rng.uniform(0.3, 0.6), "width": rng.uniform(0.08, 0.15)}
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
             "depth": draw.axes * severity * _strongest(about),
             "place": draw.values["place"] * about.reach,
             "width": draw.values["width"] * about.reach,
         }
 
-    def change(self, setup, values, trial, about):
+    def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         setup.terms.append((laws.PoseStick, dict(values)))
 
 
@@ -1291,10 +1298,10 @@ class MarkerCrosstalk(OutputForm):
     effect = form = "marker_crosstalk"
     units: ClassVar = {"share": "", "marker": ""}
 
-    def draw(self, rng, about):
+    def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         return Draw(values={"side": int(rng.integers(2)), "way": rng.permutation(np.eye(3))})
 
-    def values(self, draw, severity, about):
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
         side = draw.values["side"]
         return {
             "share": 0.6 * severity,
@@ -1303,7 +1310,7 @@ class MarkerCrosstalk(OutputForm):
             "way": draw.values["way"],
         }
 
-    def record(self, recording, values, about):
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
         centres, side = recording.interface, values["side"]
         rest = centres(np.zeros(1))[0]
 

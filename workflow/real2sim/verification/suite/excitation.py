@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from real2sim.verification.phantom.motions import Motion
 _TO_SI = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # amplitudes are written in mm and degrees
 
 
-def dynamic(suite: dict[str, Any], duration_s: float, rng: np.random.Generator, regime) -> Motion:
+def dynamic(
+    suite: dict[str, Any], duration_s: float, rng: np.random.Generator, regime: tuple[float, float]
+) -> Motion:
     """One dynamic trial; ``regime`` = (amplitude, speed) factors, which tell the held-out trial from training.
 
     Every axis goes its own way through the ladder of amplitudes and durations, with holds between, so that no
@@ -44,7 +47,7 @@ def dynamic(suite: dict[str, Any], duration_s: float, rng: np.random.Generator, 
     return motion
 
 
-def _endless(values: list[float], rng: np.random.Generator):
+def _endless(values: list[float], rng: np.random.Generator) -> Iterator[float]:
     # each value once in random order, again and again
     while True:
         yield from rng.permutation(values)

@@ -38,9 +38,6 @@ class Term:
         """Force (rows, 6) [N, Nm] at the next step, from q and its rate (rows, 6)."""
         raise NotImplementedError
 
-    def __getattr__(self, name: str) -> Any:  # parameters are set by name
-        raise AttributeError(name)
-
 
 @dataclass(frozen=True)
 class EffectLaw(StrapLaw):
@@ -68,76 +65,126 @@ class EffectLaw(StrapLaw):
 class Matrix(Term):
     """Full matrices dK, dD (6, 6) on top of the diagonal ones: -(dK q + dD qdot)."""
 
-    def force(self, q, qd):
-        return -np.einsum("nij,nj->ni", self.stiffness, q) - np.einsum("nij,nj->ni", self.damping, qd)
+    damping: np.ndarray
+    stiffness: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -np.einsum("nij,nj->ni", self.stiffness, q) - np.einsum(
+            "nij,nj->ni", self.damping, qd
+        )
+        return force
 
 
 class Slack(Term):
     """Dead band of half width w: F = -k sgn(q) max(|q| - w, 0)."""
 
-    def force(self, q, qd):
-        return self.stiffness * np.clip(q, -self.half_width, self.half_width)
+    stiffness: np.ndarray
+    half_width: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = self.stiffness * np.clip(q, -self.half_width, self.half_width)
+        return force
 
 
 class SmoothSlack(Term):
     """Dead band that the strap leaves gradually: F = -k (q - w tanh(q / w))."""
 
-    def force(self, q, qd):
+    half_width: np.ndarray
+    stiffness: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         width = np.maximum(self.half_width, 1e-12)
-        return self.stiffness * width * np.tanh(q / width)
+        force: np.ndarray = self.stiffness * width * np.tanh(q / width)
+        return force
 
 
 class OneSided(Term):
     """The share s of the spring pulls to one side alone: F = -k ((1 - s) q + s sgn max(sgn q - q0, 0))."""
 
-    def force(self, q, qd):
+    side: np.ndarray
+    stiffness: np.ndarray
+    share: np.ndarray
+    onset: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         pull = self.side * np.maximum(self.side * q - self.onset, 0.0)
-        return self.stiffness * self.share * (q - pull)
+        force: np.ndarray = self.stiffness * self.share * (q - pull)
+        return force
 
 
 class SoftOneSided(Term):
     """As `OneSided` with a rounded onset: max(x, 0) becomes r ln(1 + exp(x / r)) - r ln 2."""
 
-    def force(self, q, qd):
+    rounding: np.ndarray
+    side: np.ndarray
+    stiffness: np.ndarray
+    share: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         r = np.maximum(self.rounding, 1e-9)
         pull = self.side * r * (np.logaddexp(0.0, self.side * q / r) - np.log(2))
-        return self.stiffness * self.share * (q - pull)
+        force: np.ndarray = self.stiffness * self.share * (q - pull)
+        return force
 
 
 class Cubic(Term):
     """Stiffening spring: -c q^3."""
 
-    def force(self, q, qd):
-        return -self.cubic * q**3
+    cubic: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -self.cubic * q**3
+        return force
 
 
 class Exponential(Term):
     """Spring of exponential stiffening over x0: -k (x0 (exp(|q| / x0) - 1) sgn q - q)."""
 
-    def force(self, q, qd):
-        return -self.stiffness * (self.length * np.expm1(np.abs(q) / self.length) * np.sign(q) - q)
+    stiffness: np.ndarray
+    length: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -self.stiffness * (
+            self.length * np.expm1(np.abs(q) / self.length) * np.sign(q) - q
+        )
+        return force
 
 
 class Quadratic(Term):
     """Even part -b q^2, straight beyond the range, where the total would lose its sign."""
 
-    def force(self, q, qd):
+    quadratic: np.ndarray
+    range: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         a = np.abs(q)
-        return -self.quadratic * np.where(a < self.range, q * q, self.range * (2 * a - self.range))
+        force: np.ndarray = -self.quadratic * np.where(
+            a < self.range, q * q, self.range * (2 * a - self.range)
+        )
+        return force
 
 
 class TwoSlopes(Term):
     """k (1 + a) for q > 0 and k (1 - a) for q < 0: adds -a k |q|."""
 
-    def force(self, q, qd):
-        return -self.stiffness * self.asymmetry * np.abs(q)
+    asymmetry: np.ndarray
+    stiffness: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -self.stiffness * self.asymmetry * np.abs(q)
+        return force
 
 
 class SoftStop(Term):
     """A stop that begins gently: -c (q - L)^2 beyond L on one side."""
 
-    def force(self, q, qd):
-        return -self.side * self.curvature * np.maximum(self.side * q - self.limit, 0.0) ** 2
+    curvature: np.ndarray
+    side: np.ndarray
+    limit: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -self.side * self.curvature * np.maximum(self.side * q - self.limit, 0.0) ** 2
+        return force
 
 
 # -------------------- dissipation without memory
@@ -146,8 +193,12 @@ class SoftStop(Term):
 class PowerDamping(Term):
     """-c |v|^p sgn v; p = 2 is quadratic damping."""
 
-    def force(self, q, qd):
-        return -self.coefficient * np.abs(qd) ** self.exponent[:, None] * np.sign(qd)
+    coefficient: np.ndarray
+    exponent: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        force: np.ndarray = -self.coefficient * np.abs(qd) ** self.exponent[:, None] * np.sign(qd)
+        return force
 
 
 # -------------------- dissipation with memory
@@ -156,10 +207,14 @@ class PowerDamping(Term):
 class Stick(Term):
     """Coulomb friction with an elastic stick (Prandtl): a spring whose force saturates at +-F, or at F+ and F-."""
 
-    def prepare(self):
+    upper: np.ndarray
+    lower: np.ndarray
+    spring: np.ndarray
+
+    def prepare(self) -> None:
         self.held = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         self.held = np.clip(self.held + self.spring * self.travel(q), -self.lower, self.upper)
         return -self.held
 
@@ -167,18 +222,22 @@ class Stick(Term):
 class Iwan(Term):
     """Maxwell slip: parallel Prandtl elements of equal springs whose thresholds are spread evenly."""
 
+    strength: np.ndarray
+    yield_travel: np.ndarray
+
     elements: ClassVar[int] = 8
 
-    def prepare(self):
+    def prepare(self) -> None:
         share = (np.arange(self.elements) + 0.5) * 2 / self.elements**2
         self.threshold = self.strength[:, :, None] * share
         self.spring = self.threshold[:, :, -1:] / np.maximum(2 * self.yield_travel[:, :, None], 1e-12)
         self.held = np.zeros((len(self.rows), 6, self.elements))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         moved = self.held + self.spring * self.travel(q)[:, :, None]
         self.held = np.clip(moved, -self.threshold, self.threshold)
-        return -self.held.sum(axis=2)
+        force: np.ndarray = -self.held.sum(axis=2)
+        return force
 
 
 class LuGre(Term):
@@ -188,10 +247,15 @@ class LuGre(Term):
     1995).
     """
 
-    def prepare(self):
+    coulomb: np.ndarray
+    spring: np.ndarray
+    static: np.ndarray
+    stribeck: np.ndarray
+
+    def prepare(self) -> None:
         self.z = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         travel = self.travel(q)
         g = self.coulomb + (self.static - self.coulomb) * np.exp(-((qd / self.stribeck) ** 2))
         g = np.maximum(g, 1e-12)
@@ -207,10 +271,14 @@ class BoucWen(Term):
     z is linear in itself while v z keeps its sign, so each step is exact for its travel.
     """
 
-    def prepare(self):
+    yield_travel: np.ndarray
+    strength: np.ndarray
+    shape: np.ndarray
+
+    def prepare(self) -> None:
         self.z = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         travel = self.travel(q) / self.yield_travel
         z = self.z
         loading = travel * z >= 0
@@ -224,10 +292,13 @@ class BoucWen(Term):
 class Maxwell(Term):
     """Relaxing branch (standard linear solid): F1' = -k1 v - F1 / tau, exact for a steady rate."""
 
-    def prepare(self):
+    tau: np.ndarray
+    branch: np.ndarray
+
+    def prepare(self) -> None:
         self.held = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         tau = self.tau[:, None]
         decay = np.exp(-self.step_s / tau)
         self.held = self.held * decay + self.branch * tau * (1 - decay) * self.travel(q) / self.step_s
@@ -237,15 +308,19 @@ class Maxwell(Term):
 class Prony(Term):
     """Several relaxing branches: ``branch`` (n, 6, m), ``tau`` (n, m)."""
 
-    def prepare(self):
+    tau: np.ndarray
+    branch: np.ndarray
+
+    def prepare(self) -> None:
         self.held = np.zeros(self.branch.shape)
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         tau = self.tau[:, None, :]
         decay = np.exp(-self.step_s / tau)
         rate = self.travel(q)[:, :, None] / self.step_s
         self.held = self.held * decay + self.branch * tau * (1 - decay) * rate
-        return -self.held.sum(axis=2)
+        force: np.ndarray = -self.held.sum(axis=2)
+        return force
 
 
 class Ratchet(Term):
@@ -254,25 +329,36 @@ class Ratchet(Term):
     r' = rate max(sgn q - r - threshold, 0): the slip ends where the strap is relieved.
     """
 
-    def prepare(self):
+    threshold: np.ndarray
+    rate: np.ndarray
+    stiffness: np.ndarray
+    side: np.ndarray
+
+    def prepare(self) -> None:
         self.slipped = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         beyond = np.maximum(self.side * q - self.slipped - self.threshold, 0.0)
         self.slipped += self.rate * beyond * self.step_s
-        return self.stiffness * self.side * self.slipped
+        force: np.ndarray = self.stiffness * self.side * self.slipped
+        return force
 
 
 class Wander(Term):
     """The rest pose creeps steadily from a start time on: F = -k (q - rate (t - t0))."""
 
-    def prepare(self):
+    stiffness: np.ndarray
+    rate: np.ndarray
+    onset: np.ndarray
+
+    def prepare(self) -> None:
         self.time = 0.0
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         self.time += self.step_s
         late = np.maximum(self.time - self.onset, 0.0)[:, None]
-        return self.stiffness * self.rate * late
+        force: np.ndarray = self.stiffness * self.rate * late
+        return force
 
 
 # -------------------- outside the library
@@ -281,22 +367,32 @@ class Wander(Term):
 class Backlash(Term):
     """A gap that is crossed freely and ends in an impact: the spring sees a play operator of q, with a knock."""
 
-    def prepare(self):
+    half_width: np.ndarray
+    stiffness: np.ndarray
+    knock: np.ndarray
+
+    def prepare(self) -> None:
         self.followed = np.zeros((len(self.rows), 6))
 
-    def force(self, q, qd):
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         before = self.followed
         self.followed = np.clip(before, q - self.half_width, q + self.half_width)
         engaged = self.followed != before
-        return self.stiffness * (q - self.followed) - self.knock * qd * engaged
+        force: np.ndarray = self.stiffness * (q - self.followed) - self.knock * qd * engaged
+        return force
 
 
 class PoseStick(Term):
     """Sticks in one pose: a Gaussian well, whose slope is negative on its flanks."""
 
-    def force(self, q, qd):
+    width: np.ndarray
+    place: np.ndarray
+    depth: np.ndarray
+
+    def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         x = (q - self.place) / self.width
-        return -self.depth * x * np.exp(0.5 * (1 - x * x))
+        force: np.ndarray = -self.depth * x * np.exp(0.5 * (1 - x * x))
+        return force
 
 
 # -------------------- the robot's side
@@ -314,9 +410,6 @@ class RobotTerm:
     def prepare(self) -> None:
         """Set up the state."""
 
-    def __getattr__(self, name: str) -> Any:  # parameters are set by name
-        raise AttributeError(name)
-
     def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         """See `physics.RobotEffect`."""
         raise NotImplementedError
@@ -325,7 +418,13 @@ class RobotTerm:
 class Tilt(RobotTerm):
     """Gravity leans: each body is pulled sideways by its weight times the tilt, which may sway."""
 
-    def __call__(self, step, joint_force, body_force):
+    sway: np.ndarray
+    lean: np.ndarray
+    phase: np.ndarray
+    masses: np.ndarray
+    frequency: np.ndarray
+
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         sway = 1 + self.sway * np.sin(2 * np.pi * self.frequency * step.time_s + self.phase)
         body_force[self.rows] += (9.81 * self.masses * sway[:, None])[:, :, None] * self.lean[:, None, :]
 
@@ -333,13 +432,17 @@ class Tilt(RobotTerm):
 class Reaction(RobotTerm):
     """The base's controller answers the interaction force after a delay, smoothed: F = g F_int(t - delay)."""
 
-    def prepare(self):
+    gain: np.ndarray
+    filter: np.ndarray
+    delay: np.ndarray
+
+    def prepare(self) -> None:
         self.lags = np.maximum(np.round(self.delay / self.step_s).astype(int), 1)
         self.past = np.zeros((self.lags.max() + 1, len(self.rows), 2))
         self.smooth = np.zeros((len(self.rows), 2))
         self.count = 0
 
-    def __call__(self, step, joint_force, body_force):
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         size = len(self.past)
         self.past[self.count % size] = step.force[self.rows, :2]
         late = self.past[(self.count - self.lags) % size, np.arange(len(self.rows))]
@@ -352,10 +455,13 @@ class Reaction(RobotTerm):
 class SeriesCompliance(RobotTerm):
     """The base yields behind its servo: part of the servo's spring relaxes (a hidden compliant joint)."""
 
-    def prepare(self):
+    tau: np.ndarray
+    branch: np.ndarray
+
+    def prepare(self) -> None:
         self.held = np.zeros((len(self.rows), 3))
 
-    def __call__(self, step, joint_force, body_force):
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         decay = np.exp(-self.step_s / self.tau)[:, None]
         self.held = (
             self.held * decay + self.branch * self.tau[:, None] * (1 - decay) * step.rates[self.rows, :3]
@@ -366,7 +472,12 @@ class SeriesCompliance(RobotTerm):
 class Push(RobotTerm):
     """Somebody or something pushes the base: sin^2 pulses, periodic or at given times."""
 
-    def __call__(self, step, joint_force, body_force):
+    direction: np.ndarray
+    times: np.ndarray
+    width: np.ndarray
+    strength: np.ndarray
+
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         since = (step.time_s - self.times) / self.width[:, None]
         pulse = np.where((since > 0) & (since < 1), np.sin(np.pi * np.clip(since, 0, 1)) ** 2, 0.0)
         joint_force[self.rows, :2] += (pulse * self.strength).sum(axis=1)[:, None] * self.direction
@@ -375,14 +486,20 @@ class Push(RobotTerm):
 class Hand(RobotTerm):
     """The person holds the arm now and then: a spring and damper from the pose at the grasp."""
 
-    def prepare(self):
+    times: np.ndarray
+    damper: np.ndarray
+    spring: np.ndarray
+    width: np.ndarray
+    closed: np.ndarray
+
+    def prepare(self) -> None:
         self.grasped = np.zeros((len(self.rows), 6))
         self.closed = np.zeros(len(self.rows), bool)
 
-    def __call__(self, step, joint_force, body_force):
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         here = step.joints[self.rows]
         since = step.time_s - self.times
-        hold = ((since > 0) & (since < self.width)).any(axis=1)
+        hold = np.any((since > 0) & (since < self.width), axis=1)
         self.grasped[hold & ~self.closed] = here[hold & ~self.closed]
         self.closed = hold
         pull = -self.spring * (here - self.grasped) - self.damper * step.rates[self.rows]
@@ -392,7 +509,11 @@ class Hand(RobotTerm):
 class Cogging(RobotTerm):
     """Wheels with preferred positions: a force periodic in the base's place."""
 
-    def __call__(self, step, joint_force, body_force):
+    strength: np.ndarray
+    phase: np.ndarray
+    pitch: np.ndarray
+
+    def __call__(self, step: Step, joint_force: np.ndarray, body_force: np.ndarray) -> None:
         place = step.joints[self.rows, :2]
         joint_force[self.rows, :2] -= self.strength * np.sin(
             2 * np.pi * place / self.pitch[:, None] + self.phase

@@ -15,7 +15,7 @@ from real2sim.verification.phantom.person import Person
 from real2sim.verification.phantom.physics import PelvisPath
 
 SIGMA_P, SIGMA_V = 0.041, 0.080  # scales of J (paper, eq. 3): m, m/s
-CUTOFF_HZ = 12.0  # of the analysis (contract, section 3)
+CUTOFF_HZ = 12.0  # of the analysis (config.yaml, ingest.cutoff_hz)
 
 Markers = dict[str, np.ndarray]
 
@@ -61,7 +61,7 @@ def sampled(time_s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np
 
 
 def pelvis_pose(markers: Markers) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (n, 3, 3) and origin (n, 3) [m] of the pelvis (contract, section 2)."""
+    """Return rotation (n, 3, 3) and origin (n, 3) [m] of the pelvis: x forward, y left, between the ASIS markers."""
     origin = (markers["ASIS_L"] + markers["ASIS_R"]) / 2
     back = (markers["PSIS_L"] + markers["PSIS_R"]) / 2
     y = markers["ASIS_L"] - markers["ASIS_R"]
@@ -82,7 +82,7 @@ def interface_pose(centres: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.
 
 @dataclass
 class _Spline:
-    """A motion through sampled poses, with the interface of `motions.Motion`."""
+    """A motion through sampled poses, a `motions.PelvisMotion`."""
 
     curve: CubicSpline
     duration_s: float
@@ -101,14 +101,15 @@ def replayed_path(markers: Markers, rate_hz: float) -> PelvisPath:
     pose = np.hstack([position - position[0], np.unwrap(angles, axis=0)])
     time_s = np.arange(len(pose)) / rate_hz
     motion = _Spline(CubicSpline(time_s, pose), len(pose) / rate_hz)
-    return pelvis_path(motion, 0.0, rotation[0], position[0], np.zeros(3), 0.0)  # type: ignore[arg-type]
+    return pelvis_path(motion, 0.0, rotation[0], position[0], np.zeros(3), 0.0)
 
 
 def low_pass(values: np.ndarray, rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> np.ndarray:
     """Zero-phase low-pass of fourth order along the first axis, -3 dB at the cut-off after both passes."""
     corrected = np.tan(np.pi * cutoff_hz / rate_hz) / (np.sqrt(2) - 1) ** 0.25
     sos = butter(2, 2 / np.pi * np.arctan(corrected), output="sos")
-    return sosfiltfilt(sos, values, axis=0)
+    filtered: np.ndarray = sosfiltfilt(sos, values, axis=0)
+    return filtered
 
 
 def residual(difference: np.ndarray, rate_hz: float) -> np.ndarray:

@@ -76,7 +76,8 @@ class Case:
 
 def shards(suite: dict[str, Any]) -> int:
     """Number of shards of a suite."""
-    return -(-sum(suite["cases"].values()) // suite["shard_cases"])
+    count: int = -(-sum(suite["cases"].values()) // suite["shard_cases"])
+    return count
 
 
 def case_names(suite: dict[str, Any], shard: int) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,6 +19,10 @@ from real2sim.verification.phantom.physics import (
 from real2sim.verification.suite.laws import EffectLaw, RobotTerm, Term
 
 FREE = np.full(6, np.inf)
+
+_TermClass = type[Term] | type[RobotTerm]
+_Kind = tuple[_TermClass, tuple[tuple[int, ...], ...]]  # class of a term and shapes of its parameters
+_Member = tuple[int, dict[str, Any]]  # row of a trial in the batch and a term's parameters there
 
 
 @dataclass
@@ -37,7 +42,7 @@ class Setup:
     lower: np.ndarray = field(default_factory=lambda: -FREE)
     upper: np.ndarray = field(default_factory=FREE.copy)
     added: np.ndarray = field(default_factory=lambda: np.zeros(4))
-    terms: list[tuple[type[Term] | type[RobotTerm], dict[str, Any]]] = field(default_factory=list)
+    terms: list[tuple[_TermClass, dict[str, Any]]] = field(default_factory=list)
 
     def copy(self) -> Setup:
         """A copy whose lists and controller can be changed."""
@@ -45,15 +50,15 @@ class Setup:
 
 
 def _batch(robot: Robot, setups: list[Setup], stops: dict[str, Any]) -> dict[str, Any]:
-    groups: dict[Any, list[tuple[int, dict[str, Any]]]] = {}
+    groups: dict[_Kind, list[_Member]] = {}
     for row, setup in enumerate(setups):
         for kind, values in setup.terms:
             # parameters of one term have one shape in a batch
-            key = (kind, *(np.shape(v) for v in values.values()))
+            key = (kind, tuple(np.shape(v) for v in values.values()))
             groups.setdefault(key, []).append((row, values))
     made = [
         kind(np.array([row for row, _ in members]), robot.step_s, [values for _, values in members])
-        for (kind, *_), members in _one_per_row(groups)
+        for kind, members in _one_per_row(groups)
     ]
     n = len(setups)
     law = EffectLaw(
@@ -79,14 +84,14 @@ def _batch(robot: Robot, setups: list[Setup], stops: dict[str, Any]) -> dict[str
     }
 
 
-def _one_per_row(groups):
+def _one_per_row(groups: dict[_Kind, list[_Member]]) -> Iterator[tuple[_TermClass, list[_Member]]]:
     # a trial with two terms of one kind needs two terms: rows of a term are all different
-    for (kind, *shapes), members in groups.items():
+    for (kind, _), members in groups.items():
         rest = members
         while rest:
             now = list({row: (row, values) for row, values in reversed(rest)}.values())
             rest = [member for member in rest if not any(member[1] is values for _, values in now)]
-            yield (kind, *shapes), now
+            yield kind, now
 
 
 def run(robot: Robot, setups: list[Setup], stops: dict[str, Any], rate_hz: float) -> list[TruePaths]:

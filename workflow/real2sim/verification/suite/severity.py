@@ -51,7 +51,8 @@ class Refit:
         low = np.maximum(self.lower - moved, -_FARTHEST_LN)
         high = np.minimum(self.upper - moved, _FARTHEST_LN)
         # where a parameter is stopped by a bound, the others make up for it
-        return moved + lsq_linear(root.T, goal, (low - 1e-9, high + 1e-9), method="bvls").x
+        reached: np.ndarray = moved + lsq_linear(root.T, goal, (low - 1e-9, high + 1e-9), method="bvls").x
+        return reached
 
 
 @dataclass
@@ -65,7 +66,7 @@ class Fit:
     share: float = 1.0
     tangent: np.ndarray = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.tangent = self.refit.train
 
     @property
@@ -79,8 +80,10 @@ class Fit:
             self.moved, self.train, self.held_out, self.tangent = moved, train, held_out, tangent
 
     def propose(self) -> np.ndarray:
-        """Where to look next."""
-        return self.moved + self.share * (self.refit.step(self.tangent, self.train, self.moved) - self.moved)
+        """Return the ln parameters (12,) to simulate next."""
+        goal = self.refit.step(self.tangent, self.train, self.moved)
+        proposed: np.ndarray = self.moved + self.share * (goal - self.moved)
+        return proposed
 
     def tell(self, moved: np.ndarray, train: np.ndarray, held_out: np.ndarray) -> None:
         """Take in the residuals found there."""
@@ -138,7 +141,7 @@ class Search:
             self.high = (severity, reached)
 
     def _miss(self, reached: float) -> float:
-        return abs(np.log(reached / self.target))
+        return float(abs(np.log(reached / self.target)))
 
     def ask(self) -> float:
         """The next severity to try."""

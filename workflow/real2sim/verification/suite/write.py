@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -99,7 +100,14 @@ class _Synthetic:
 
 
 def write_cases(
-    *, suite: dict, shard: int, settings: dict, controllers: dict, robot: Path, out: Path, truth: Path
+    *,
+    suite: dict[str, Any],
+    shard: int,
+    settings: dict[str, Any],
+    controllers: dict[str, Any],
+    robot: Path,
+    out: Path,
+    truth: Path,
 ) -> None:
     """Write the cases of one shard as raw exports below ``out``, and their sealed truth.
 
@@ -154,7 +162,9 @@ class _World:
 
     @property
     def stops(self) -> dict[str, Any]:
-        return self.settings["stops"]
+        """Stiffness and damping of the strap's stops, as in the settings."""
+        stops: dict[str, Any] = self.settings["stops"]
+        return stops
 
 
 # -------------------- people and trials
@@ -194,9 +204,7 @@ def _synthesise(
         )
         starts[name] = _place(settings, suite, case.id, name)
         hands[name] = robot_controller(settings, controllers, "dynamic", starts[name])
-        paths[name] = _path(
-            robot, motions[name], starts[name], person, person.rest_rotation, person.rest_position, settings
-        )
+        paths[name] = _path(robot, motions[name], starts[name], person, settings)
     return _Synthetic(case, person, settings, motions, paths, starts, hands, smooth, tuple(regime), causes)
 
 
@@ -245,11 +253,13 @@ def _place(settings: dict[str, Any], suite: dict[str, Any], case: str, trial: st
     return np.array([x, y, np.radians(body["placement_sd_deg"]) * rng.standard_normal(), 0.0, 0.0, 0.0])
 
 
-def _path(robot, motion, start, person, rest_rotation, rest_position, settings) -> PelvisPath:
+def _path(
+    robot: Robot, motion: Motion, start: np.ndarray, person: Person, settings: dict[str, Any]
+) -> PelvisPath:
     # the pelvis that has the strap at rest while the robot stands at its start pose
     rotation, position = robot.rest_middle(start)
-    pelvis = rotation @ rest_rotation.T
-    origin = position - pelvis @ rest_position
+    pelvis = rotation @ person.rest_rotation.T
+    origin = position - pelvis @ person.rest_position
     return pelvis_path(
         motion, float(start[2]), pelvis, origin, person.pivot, settings["simulation"]["tail_s"]
     )
@@ -301,7 +311,8 @@ def _mobility(robot: Robot, person: Person) -> np.ndarray:
     mujoco.mj_fullM(model, data, mass)
     pelvis = data.body("interface").xmat.reshape(3, 3) @ person.rest_rotation.T
     j = np.vstack([pelvis.T @ jac_p, pelvis.T @ jac_r])
-    return 1 / np.einsum("ij,jk,ik->i", j, np.linalg.inv(mass), j)
+    inertia: np.ndarray = 1 / np.einsum("ij,jk,ik->i", j, np.linalg.inv(mass), j)
+    return inertia
 
 
 def _linearise(world: _World, people: list[_Synthetic]) -> None:
@@ -338,7 +349,7 @@ def _room(world: _World, person: Person) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _samples(p: _Synthetic) -> int:
-    return round(p.settings["trials"]["dynamic_s"] * RATE_HZ)
+    return round(float(p.settings["trials"]["dynamic_s"]) * RATE_HZ)
 
 
 def _noisy_path(world: _World, p: _Synthetic, trial: str, index: int) -> PelvisPath:
@@ -356,7 +367,7 @@ def _as_long(path: PelvisPath, other: PelvisPath) -> PelvisPath:
 # -------------------- severity
 
 
-def _solve(world: _World, people: list[_Synthetic], say) -> None:
+def _solve(world: _World, people: list[_Synthetic], say: Callable[[str], None]) -> None:
     """Choose the draw of every cause and the severity that makes the gap asked for."""
     options = world.suite["severity"]
     jobs: list[tuple[_Synthetic, _Cause]] = [(p, c) for p in people for c in p.causes]
@@ -456,6 +467,9 @@ def _again(world: _World, asked: _Asked) -> None:
 
 
 Applied = list[tuple[Form, dict[str, Any]]]
+# by index of the person and name of the trial
+_Setups = dict[tuple[int, str], Setup]
+_Recorded = dict[tuple[int, str], Recording]
 
 
 def _gaps(
@@ -465,37 +479,35 @@ def _gaps(
 
     ``starts`` (12,) each: where a refit begins, if that is better than at the true parameters.
     """
-    true_setups: dict[tuple[int, str], Setup] = {}
-    model_setups: dict[tuple[int, str], Setup] = {}
+    true_setups: _Setups = {}
+    models: _Setups = {}
     pairs = [(i, trial) for i in range(len(people)) for trial in (TRAIN, HELD_OUT)]
     for i, trial in pairs:
         if any(form.moves_truth for form, _ in effects[i]):
             true_setups[i, trial] = _with(people[i], trial, effects[i])
     true = _run_keys(world.coarse, world.stops, true_setups)
-    recorded: dict[tuple[int, str], Recording] = {}
+    recorded: _Recorded = {}
     for i, trial in pairs:
         p = people[i]
         paths = true.get((i, trial), p.base[trial])
         pelvis = true_setups[i, trial].path if (i, trial) in true_setups else p.paths[trial]
         recorded[i, trial] = _record(p, trial, pelvis, paths, effects[i])
         if any(form.moves_model for form, _ in effects[i]) and np.isfinite(paths.left).all():
-            model_setups[i, trial] = _as_analysed(
-                world.coarse, p, trial, pelvis, recorded[i, trial], effects[i]
-            )
-    fits = _fits(world, people, recorded, model_setups)
+            models[i, trial] = _as_analysed(world.coarse, p, trial, pelvis, recorded[i, trial], effects[i])
+    fits = _fits(world, people, recorded, models)
     if starts is not None:
-        _start(world, people, recorded, model_setups, fits, starts)
+        _start(world, people, recorded, models, fits, starts)
     for _ in range(world.suite["severity"]["refits"]):
-        _refit(world, people, recorded, model_setups, fits)
+        _refit(world, people, recorded, models, fits)
     return fits
 
 
-def _fits(world: _World, people, recorded, model_setups) -> list[Fit]:
+def _fits(world: _World, people: list[_Synthetic], recorded: _Recorded, models: _Setups) -> list[Fit]:
     """What an analysis with the true parameters would be left with."""
     replayed = dict(
         zip(
-            model_setups,
-            run_centres(world.coarse, list(model_setups.values()), world.stops, RATE_HZ),
+            models,
+            run_centres(world.coarse, list(models.values()), world.stops, RATE_HZ),
             strict=True,
         )
     )
@@ -515,13 +527,20 @@ def _left(p: _Synthetic, recorded: Recording, replayed: np.ndarray) -> np.ndarra
     return residual(recorded.interface(np.arange(n) / RATE_HZ) - replayed[:n], RATE_HZ)
 
 
-def _start(world: _World, people, recorded, model_setups, fits: list[Fit], starts: list[np.ndarray]) -> None:
+def _start(
+    world: _World,
+    people: list[_Synthetic],
+    recorded: _Recorded,
+    models: _Setups,
+    fits: list[Fit],
+    starts: list[np.ndarray],
+) -> None:
     """Let refits begin elsewhere, with the tangents of that place."""
     chosen = [i for i, fit in enumerate(fits) if fit.usable and starts[i].any()]
     setups = []
     for i in chosen:
         for trial in (TRAIN, HELD_OUT):
-            plain = model_setups.get((i, trial)) or _setup(people[i], trial)
+            plain = models.get((i, trial)) or _setup(people[i], trial)
             factor = np.exp(starts[i])
             stiffness, damping = plain.stiffness * factor[:6], plain.damping * factor[6:]
             setups.append(replace(plain, stiffness=stiffness, damping=damping))
@@ -534,7 +553,9 @@ def _start(world: _World, people, recorded, model_setups, fits: list[Fit], start
         fits[i].start(starts[i], train, _left(people[i], recorded[i, HELD_OUT], next(done)), tangent)
 
 
-def _refit(world: _World, people, recorded, model_setups, fits: list[Fit]) -> None:
+def _refit(
+    world: _World, people: list[_Synthetic], recorded: _Recorded, models: _Setups, fits: list[Fit]
+) -> None:
     """One step of every refit that can be made."""
     asked, setups = [], []
     for i, (p, fit) in enumerate(zip(people, fits, strict=True)):
@@ -544,7 +565,7 @@ def _refit(world: _World, people, recorded, model_setups, fits: list[Fit]) -> No
         asked.append((i, moved))
         factor = np.exp(moved)
         for trial in (TRAIN, HELD_OUT):
-            plain = model_setups.get((i, trial)) or _setup(p, trial)
+            plain = models.get((i, trial)) or _setup(p, trial)
             stiffness, damping = plain.stiffness * factor[:6], plain.damping * factor[6:]
             setups.append(replace(plain, stiffness=stiffness, damping=damping))
     replayed = iter(run_centres(world.coarse, setups, world.stops, RATE_HZ))

@@ -10,16 +10,17 @@ import mujoco
 import numpy as np
 
 from real2sim.artefacts import read_json, write_json
-from real2sim.diagnosis.evidence import BALANCE, load_evidence
-from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.evidence import BALANCE
 from real2sim.effects.base import NATIVE, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS
-from real2sim.provenance import fingerprint, provenance
+from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import marker_noise
-from real2sim.system.description import shipped_system
+from real2sim.study.strap import strap_system
+from real2sim.study.strap_recording import load_evidence
+from real2sim.system.description import System
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
@@ -27,25 +28,7 @@ _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
 
-def described(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
-    """Everything that makes a fitted set of effects again: the entry ``model`` of diagnosis.json."""
-    return {
-        "effects": [
-            {
-                "effect": placed.effect.name,
-                "form": placed.effect.form,
-                "axes": placed.axes,
-                "side": placed.where.side,
-                "searched": x.tolist(),
-                "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
-            }
-            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True)
-        ],
-        "scales": {name: getattr(scales, name).tolist() for name in _SCALES},
-    }
-
-
-def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[np.ndarray]]:
+def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[list[Placed], list[np.ndarray]]:
     """Effects at their places and their searched numbers (p,), from the entry ``model`` of diagnosis.json.
 
     Raises
@@ -54,9 +37,9 @@ def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[
         Where the catalogue has no such effect (any more).
     """
     scales = Scales(**{name: np.array(model["scales"][name]) for name in _SCALES})
-    placed, x, strap = [], [], shipped_system("strap")
+    placed, x = [], []
     for entry in model["effects"]:
-        where = tuple(strap.axis_names.index(axis) for axis in entry["axes"])
+        where = tuple(system.axis_names.index(axis) for axis in entry["axes"])
         found = [e for e in EFFECTS if (e.name, e.form) == (entry["effect"], entry["form"])]
         if not found or len(found[0].parameters) != len(entry["searched"]):
             raise InputError(
@@ -67,7 +50,7 @@ def effects_of(model: dict[str, Any], source: Path) -> tuple[list[Placed], list[
                 "Run the diagnosis again.",
             )
         effect = found[0]
-        placed.append(Placed(effect, effect.place(strap, where, entry["side"]), scales))
+        placed.append(Placed(effect, effect.place(system, where, entry["side"]), scales))
         x.append(np.array(entry["searched"], float))
     return placed, x
 
@@ -116,12 +99,17 @@ def export_model(
     )
     settings = answer["settings"]
     noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
+    scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
     evidence = load_evidence(
-        folder=train, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise
-    )
-    effects, x = effects_of(answer["model"], diagnosis)
-    evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
-    evidence.settled = answer["robot_holds"] == BALANCE
+        folder=train,
+        neutral=neutral,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        sd=noise,
+        settled=answer["robot_holds"] == BALANCE,
+    ).with_scales(scales)
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])
@@ -201,9 +189,7 @@ def _header(answer: dict[str, Any], about: Sequence[dict[str, Any]], trial: str,
     ]
 
 
-def _texts(
-    answer: dict[str, Any], about: Sequence[dict[str, Any]], sources: dict[str, Any]
-) -> dict[str, str]:
+def _texts(answer: dict[str, Any], about: Sequence[dict[str, Any]], sources: Provenance) -> dict[str, str]:
     texts = {
         "subject": answer["subject"],
         "verdict": _verdict(answer),

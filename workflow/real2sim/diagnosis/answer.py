@@ -1,0 +1,442 @@
+"""The answer to a diagnosis: where the gap lies, which effect causes it, how far it shrinks, what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from real2sim.diagnosis.attribute import Attribution
+from real2sim.diagnosis.decide import NONE, Decision, averaged, next_trial, share_of_other
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Pair
+from real2sim.diagnosis.trials import Found, Outcome, conclude
+from real2sim.effects.base import Scales
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.inference.noise_floor import block_bootstrap_mean
+
+# Share of the floor below which J shows no gap that could be closed
+SMALLEST_GAP = 0.02
+# Probability from which the parameters of a cause have intervals
+TOLD = 0.005
+# Causes that are simulated once more for what they close, and shown whatever their probability
+SHOWN = 3
+_SCALES = ("q", "v", "k", "d", "inertia")
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect with some probability: where it acts, its parameters with intervals, what it closes.
+
+    ``parameters`` maps a name to value, unit and, where it has one, ``ci95``. ``closed`` holds the share of the
+    closable gap that it closes on the trial that shows the gap, with a block-bootstrap interval (None where the plain
+    cost shows no gap; empty where it was not simulated). ``robot_holds`` is
+    set where its values are those of the other initial state.
+    """
+
+    effect: str
+    probability: float
+    axes: list[str]
+    stage: str
+    equation: str
+    beside: list[str]
+    group: str
+    parameters: dict[str, dict[str, Any]]
+    j_held_out: float | None = None
+    closed: dict[str, Any] = field(default_factory=dict)
+    robot_holds: str | None = None
+
+    @property
+    def gap_closed(self) -> float | None:
+        """Share of the closable gap that it closes."""
+        return self.closed.get("gap_closed")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of ``causes`` in diagnosis.json."""
+        out: dict[str, Any] = {
+            "effect": self.effect,
+            "probability": self.probability,
+            "axes": self.axes,
+            "stage": self.stage,
+            "equation": self.equation,
+            "with": self.beside,
+            "group": self.group,
+            "parameters": self.parameters,
+        }
+        if self.j_held_out is not None:
+            out["J_held_out"] = self.j_held_out
+        out |= self.closed
+        if self.robot_holds is not None:
+            out["robot_holds"] = self.robot_holds
+        return out
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the gap lies, which unmodelled effect causes it, how far it shrinks.
+
+    ``verdict`` is an effect's name, ``none`` or ``unknown``; ``probabilities`` over all effects and both add up to 1.
+    ``where``, ``gap``, ``noise_floor``, ``considered``, ``baselines``, ``parameters`` and ``otherwise`` are sections of
+    diagnosis.json. ``found`` holds the fits behind the answer.
+    """
+
+    verdict: str
+    verdict_set: list[str]
+    probabilities: dict[str, float]
+    ambiguity_group: list[str]
+    causes: list[Cause]
+    where: dict[str, Any]
+    gap: dict[str, Any]
+    noise_floor: dict[str, Any]
+    parameters: dict[str, dict[str, Any]]
+    considered: list[dict[str, Any]]
+    baselines: dict[str, str]
+    next_trial: str | None
+    otherwise: dict[str, Any] | None
+    found: Found
+    fitted: Hypothesis
+
+    def traces(self) -> dict[str, np.ndarray]:
+        """Return columns of the trial that shows the gap: time [s]; measured, plain and with effect."""
+        pair = self.found.pair
+        plain, best = (simulate(pair.shown, pair, h) for h in (self.found.attribution.plain, self.fitted))
+        return pair.shown.traces(plain, best)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what diagnosis.json says of the answer."""
+        return {
+            "robot_holds": self.found.initial_state,
+            "otherwise": self.otherwise,
+            "noise_floor": self.noise_floor,
+            "gap": self.gap,
+            "where": self.where,
+            "causes": [cause.to_dict() for cause in self.causes],
+            "considered": self.considered,
+            "probabilities": self.probabilities,
+            "verdict": self.verdict,
+            "verdict_set": self.verdict_set,
+            "ambiguity_group": self.ambiguity_group,
+            "next_trial": self.next_trial,
+            "baselines": self.baselines,
+            "parameters": self.parameters,
+            "model": describe_model(self.fitted, self.found.pair.train.scales),
+        }
+
+
+def describe_model(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
+    """Return everything that makes a fitted set of effects again: the entry ``model`` of diagnosis.json."""
+    return {
+        "effects": [
+            {
+                "effect": placed.effect.name,
+                "form": placed.effect.form,
+                "axes": placed.axes,
+                "side": placed.where.side,
+                "searched": x.tolist(),
+                "parameters": {k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()},
+            }
+            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True)
+        ],
+        "scales": {name: getattr(scales, name).tolist() for name in _SCALES},
+    }
+
+
+def answer(outcome: Outcome, settings: dict[str, Any]) -> Diagnosis:
+    """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``."""
+    options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
+    decision, share, otherwise = own, 0.0, None
+    if other is not None:
+        under_other = conclude(other, options)
+        otherwise = _otherwise(other, under_other)
+        if not outcome.the_other_way:
+            costs = found.cost(options), other.cost(options)
+            share = share_of_other(costs, options["calibration"]["none_temperature"])
+            decision = averaged(own, under_other, share)
+    result = _Account(found, decision, settings).diagnosis(otherwise)
+    if not share or other is None:
+        return result
+    theirs = _Account(other, under_other, settings).causes()
+    likelier = {
+        n: share * p > (1 - share) * own.probabilities[n] for n, p in under_other.probabilities.items()
+    }
+    causes = _of_both_states(result.causes, theirs, likelier, decision.probabilities, other.initial_state)
+    return replace(result, causes=causes)
+
+
+def _of_both_states(
+    causes: list[Cause],
+    theirs: list[Cause],
+    likelier: dict[str, bool],
+    probabilities: dict[str, float],
+    state: str,
+) -> list[Cause]:
+    """Report each cause with the parameter values of the initial-state hypothesis that contributes most of it.
+
+    ``theirs`` are those of the other state, named ``state``; ``likelier`` whether that contributes more. A tilt of a
+    machine that is released has other values than one of a machine in equilibrium, in which it hardly shows.
+    """
+    taken = {
+        c.effect: replace(c, probability=probabilities[c.effect], robot_holds=state)
+        for c in theirs
+        if likelier[c.effect] and probabilities[c.effect] >= TOLD
+    }
+    kept = [c for c in causes if c.effect not in taken]
+    return sorted([*kept, *taken.values()], key=lambda c: -c.probability)
+
+
+def _otherwise(found: Found, decision: Decision) -> dict[str, Any]:
+    """What the answer would be under the other initial-state hypothesis."""
+    attribution = found.attribution
+    return {
+        "robot_holds": found.initial_state,
+        "verdict": decision.verdict,
+        "verdict_set": _verdict_set(attribution, decision),
+        "probability": decision.probabilities[decision.verdict],
+        "chi2_best": list(_chosen(attribution, decision).chi2),
+        "chi2_expected": list(attribution.samples),
+    }
+
+
+def _verdict_set(attribution: Attribution, decision: Decision) -> list[str]:
+    """Effects of the set that the verdict rests on, or `none` or `unknown`."""
+    return list(_chosen(attribution, decision).names) or [decision.verdict]
+
+
+def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
+    return attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+
+
+def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
+    """Return what a hypothesis makes of a trial's observations, (n, ...)."""
+    replay = evidence.replay(list(hypothesis.effects), 1)
+    parameters = pair.system.values(hypothesis.base)[None]
+    return replay.run_effects(parameters, [x[None] for x in hypothesis.split()])[0][0]
+
+
+class _Account:
+    """What is said of one search and its decision."""
+
+    def __init__(self, found: Found, decision: Decision, settings: dict[str, Any]):
+        self._found, self._decision, self._settings = found, decision, settings
+        self._pair, self._attribution = found.pair, found.attribution
+        self._best = _chosen(found.attribution, decision)
+        shown = found.pair.shown
+        self._plain_path = simulate(shown, found.pair, found.attribution.plain)
+        self._floor_draws = shown.floor_draws()
+        self._floor = float(self._floor_draws.mean())
+
+    def diagnosis(self, otherwise: dict[str, Any] | None) -> Diagnosis:
+        """Everything together."""
+        attribution, decision = self._attribution, self._decision
+        named = decision.chosen is not None
+        baselines = _baselines(attribution) | _independent_noise(self._pair.train, attribution)
+        return Diagnosis(
+            decision.verdict,
+            _verdict_set(attribution, decision),
+            decision.probabilities,
+            list(decision.group),
+            self.causes(),
+            self._where(named),
+            self._gap(),
+            self._noise_floor(),
+            self._parameters(named),
+            _considered(attribution, decision, self._pair.exchanged),
+            baselines,
+            next_trial(decision),
+            otherwise,
+            self._found,
+            self._best,
+        )
+
+    def _noise_floor(self) -> dict[str, Any]:
+        return {
+            "J": self._floor,
+            "ci95": [float(q) for q in np.quantile(self._floor_draws, [0.025, 0.975])],
+            "source": self._pair.shown.noise_source,
+            "residual_sd_m": self._pair.shown.residual_sd(),
+        }
+
+    def _gap(self) -> dict[str, Any]:
+        shown, plain = self._pair.shown, self._attribution.plain
+        base = float(shown.j(self._plain_path[None])[0])
+        best_path = simulate(shown, self._pair, self._best)
+        return {
+            "J_base": base,
+            "J_floor": self._floor,
+            "visibility": (base - self._floor) / self._floor,
+            "J_with_effect": float(shown.j(best_path[None])[0]),
+            "chi2_plain": list(plain.chi2),
+            "chi2_best": list(self._best.chi2),
+            "chi2_expected": list(self._attribution.samples),
+        }
+
+    def _where(self, named: bool) -> dict[str, Any]:
+        shown = self._pair.shown
+        stages = _stages(self._attribution, self._decision)
+        explained = simulate(shown, self._pair, self._best) if named else None
+        return {
+            "stage": max(stages, key=lambda s: stages[s]),
+            "stages": stages,
+            "axes": _axes(self._best, shown.axis_shares(self._plain_path)),
+        } | shown.locate(self._plain_path, explained)
+
+    def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
+        system = self._pair.system
+        samples = self._attribution.samples[0]
+        known = parameter_verdicts(self._pair, self._best, samples, self._settings)
+        base = system.values(self._attribution.plain.base)
+        fitted = system.values(self._best.base)
+        return {
+            p.name: {
+                "base": float(a),
+                "with_effect": float(k.unbiased if named else b),
+                "fitted": float(b),
+                "unit": p.unit,
+                "ci95": list(k.ci95),
+                "bias_ln": k.bias_ln,
+                "verdict": k.verdict,
+            }
+            for p, a, b, k in zip(system.parameters, base, fitted, known, strict=True)
+        }
+
+    def causes(self) -> list[Cause]:
+        """Every effect with some probability: its best set, what it closes, its parameters with intervals.
+
+        What has hardly any probability gets no intervals.
+        """
+        out: list[Cause] = []
+        seen: set[str] = set()
+        for index in np.argsort(-self._decision.sets):
+            hypothesis = self._attribution.hypotheses[index]
+            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
+                name = placed.effect.name
+                told = self._decision.probabilities[name] >= TOLD
+                if name in seen or (not told and len(out) >= SHOWN):
+                    continue
+                seen.add(name)
+                out.append(self._cause(hypothesis, placed, x, detailed=len(out) < SHOWN, told=told))
+        return out
+
+    def _cause(
+        self, hypothesis: Hypothesis, placed: Placed, x: np.ndarray, *, detailed: bool, told: bool
+    ) -> Cause:
+        name, pair = placed.effect.name, self._pair
+        parameters: dict[str, dict[str, Any]] = {
+            k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()
+        }
+        cause = Cause(
+            name,
+            self._decision.probabilities[name],
+            placed.axes,
+            placed.effect.stage,
+            placed.effect.equation,
+            [n for n in hypothesis.names if n != name],
+            placed.effect.group,
+            parameters,
+        )
+        if not detailed:
+            return cause
+        path = simulate(pair.held_out, pair, hypothesis)
+        shown_path = simulate(pair.shown, pair, hypothesis) if pair.exchanged else path
+        if told:
+            for entry, ends in zip(
+                parameters.values(), effect_intervals(pair, hypothesis, placed), strict=True
+            ):
+                entry["ci95"] = list(ends)
+        return replace(
+            cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
+        )
+
+    def _closed(self, path: np.ndarray) -> dict[str, Any]:
+        """Share of the closable gap on the trial that shows it, with a block-bootstrap interval."""
+        evidence = self._pair.shown
+        both = np.stack([self._plain_path, path])
+        base, j = (float(cost) for cost in evidence.j(both))
+        rows, sample = evidence.cost.residuals(both), evidence.cost.sample_of_residual()
+        saved = np.bincount(sample, weights=rows[0] ** 2 - rows[1] ** 2)
+        low, high = block_bootstrap_mean(saved * len(saved), round(evidence.rate_hz), 500, 0.95, 1)
+        gap = base - self._floor
+        if gap < SMALLEST_GAP * self._floor:
+            # J cannot see the gap, though the whitened residuals may: a share of nothing is no number
+            return {"gap_closed": None, "gap_closed_ci95": None}
+        return {"gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
+
+
+def _stages(attribution: Attribution, decision: Decision) -> dict[str, float]:
+    """Probability of each stage: of its effects, each where its likeliest form and place act.
+
+    A marker that slides may be one of the pelvis, which goes in, or one of the interface, which comes out.
+    """
+    acts = {effect.name: effect.stage for effect in EFFECTS}
+    for index in np.argsort(decision.sets):
+        acts |= {p.effect.name: p.effect.stage for p in attribution.hypotheses[index].effects}
+    stages = dict.fromkeys((effect.stage for effect in EFFECTS), 0.0)
+    for name, stage in acts.items():
+        stages[stage] += decision.probabilities[name]
+    return stages
+
+
+def _considered(attribution: Attribution, decision: Decision, exchanged: bool) -> list[dict[str, Any]]:
+    """Every set of effects that was refitted, places and all, and what it leaves of chi-squared on both trials.
+
+    J is that of the trial that shows the gap.
+    """
+    return [
+        {
+            "effects": list(h.names),
+            "places": [placed.key for placed in h.effects],
+            "parameters": h.own,
+            "chi2": list(h.chi2),
+            "J": h.j[0 if exchanged else 1],
+            "probability": float(probability),
+        }
+        for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
+    ]
+
+
+def _baselines(attribution: Attribution) -> dict[str, str]:
+    """What simpler rules would say of the same fits, single effects only."""
+    single = [h for h in attribution.hypotheses if len(h.effects) == 1]
+    if not single:
+        return {}
+    plain, n = attribution.plain, attribution.samples[0]
+
+    def least(score: Callable[[Hypothesis], float]) -> str:
+        best = min([plain, *single], key=score)
+        return best.names[0] if best.names else NONE
+
+    return {
+        "training fit": least(lambda h: h.chi2[0]),
+        "AIC": least(lambda h: h.chi2[0] + 2 * h.own),
+        "BIC": least(lambda h: h.chi2[0] + np.log(n) * h.own),
+        "held out, no gate": least(lambda h: h.chi2[1]),
+    }
+
+
+def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str, str]:
+    """What rules say that take every sample of J for a measurement of its own, from the training trial."""
+    fits = [attribution.plain, *(h for h in attribution.hypotheses if len(h.effects) == 1)]
+    j = np.array([h.j[0] for h in fits])
+    free = np.array([len(h.z) for h in fits])
+    n = evidence.plain_samples
+    scores = {
+        "training J": j,
+        "AIC, independent noise": n * np.log(j) + 2 * free,
+        "BIC, independent noise": n * np.log(j) + np.log(n) * free,
+    }
+    names = [h.names[0] if h.names else NONE for h in fits]
+    return {rule: names[int(np.nanargmin(score))] for rule, score in scores.items()}
+
+
+def _axes(best: Hypothesis, measured: dict[str, float]) -> dict[str, float]:
+    """Axes of the cause where it has some, weighed by what is measured; what is measured where it has none."""
+    named = [axis for placed in best.effects for axis in placed.axes]
+    if not named:
+        return measured
+    weights = {axis: (1.0 if axis in named else 0.0) * (share + 0.05) for axis, share in measured.items()}
+    total = sum(weights.values())
+    return {axis: weight / total for axis, weight in weights.items()}

@@ -1,0 +1,251 @@
+"""Which of two trials is fitted, and under which initial state of the machine the search is believed.
+
+The first trial is fitted and the second is predicted, unless the second alone shows a gap, or nothing that is fitted to
+the first explains it. A machine may have been released at its start pose or have come to rest against the interface
+before the record began: where the second explains much, it is searched too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from real2sim.diagnosis.attribute import (
+    Attribution,
+    attribute,
+    finished,
+    is_doubtful,
+    is_makeshift,
+    plain_fit,
+)
+from real2sim.diagnosis.decide import (
+    NONE,
+    UNKNOWN,
+    Candidate,
+    Decision,
+    cost_of_answer,
+    decide,
+    is_out_of_reach,
+)
+from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import Pair, Search
+from real2sim.effects.catalogue import Placed
+from real2sim.system.description import System
+
+# Probability of `unknown` from which no set of effects is fitted any further
+CERTAIN = 0.99
+# Share of what stands out of the noise that a machine in equilibrium has to explain to be searched for
+HOLD_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Two trials of one system, by name, before anything is known of their noise.
+
+    ``load`` maps a trial's name and an initial-state hypothesis (True: in static equilibrium) to its evidence;
+    ``options`` is the slice ``diagnosis`` of the configuration; ``progress`` is told what is going on; ``places`` are
+    the effects to try, None for everything everywhere.
+    """
+
+    train: str
+    held_out: str
+    system: System
+    load: Callable[[str, bool], Evidence]
+    options: dict[str, Any]
+    progress: Callable[[str], None]
+    places: Callable[[Pair], list[Placed]] | None = None
+
+    @property
+    def exchanged(self) -> Trials:
+        """The same two trials, the second fitted and the first predicted."""
+        return replace(self, train=self.held_out, held_out=self.train)
+
+    def prepare(self, *, settled: bool = False) -> tuple[Pair, np.ndarray]:
+        """Return evidence of both trials, whitened, and the plain fit (n,) of the fitted one.
+
+        The noise is simulated at a fit of the plain cost, and once more at the fit that it whitens.
+        """
+        search, draws = self.options["search"], self.options["noise_draws"]
+        lower, upper = self.system.bounds()
+        train = self.load(self.train, settled)
+        other = self.load(self.held_out, settled).as_held_out()
+        z = plain_fit(train, self.system, (lower + upper) / 2, search)
+        train = train.adapted(self.system.values(z))
+        pair = Pair(train, other.with_scales(train.scales), self.system)
+        pair = _with_noise(pair, self.system.values(z), draws, search["seed"])
+        # the plain cost is blind where noise is loud: what it makes of a stiff axis passes noise on otherwise
+        z = Search(pair, search).fit((), z).z
+        return _with_noise(pair, self.system.values(z), draws, search["seed"]), z
+
+    def attribute(self, pair: Pair, z: np.ndarray) -> Found:
+        """Search for the cause from the plain fit ``z`` (n,)."""
+        places = None if self.places is None else self.places(pair)
+        options = self.options
+        found = attribute(pair, z, options["search"], self.progress, places, options["calibration"])
+        return Found(replace(found.pair, exchanged=pair.exchanged), found)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Two trials, and what the search found of them."""
+
+    pair: Pair
+    attribution: Attribution
+
+    @property
+    def initial_state(self) -> str:
+        """The initial-state hypothesis that it was searched under."""
+        return BALANCE if self.pair.train.settled else START_POSE
+
+    def cost(self, options: dict[str, Any]) -> float:
+        """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
+        sets = candidates_of(self.attribution, options["search"])
+        return cost_of_answer(*sets, self.attribution.samples, options["calibration"])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was found and decided, what was found under the other initial state, and whether trials changed places.
+
+    ``the_other_way``: nothing that was fitted to the first trial explains the second, and something that is fitted to
+    the second explains the first.
+    """
+
+    found: Found
+    decision: Decision
+    other: Found | None
+    the_other_way: bool
+
+
+def _with_noise(pair: Pair, parameters: np.ndarray, draws: int, seed: int) -> Pair:
+    train, held_out = (e.with_noise(parameters, draws, seed) for e in (pair.train, pair.held_out))
+    return replace(pair, train=train, held_out=held_out)
+
+
+def looks_settled(pair: Pair, plain: Hypothesis, options: dict[str, Any]) -> bool:
+    """Whether a machine in equilibrium explains much of what one that is released leaves: of all, or before it moves.
+
+    A machine that was held at its start pose in the first sample is released there by an interface that pulls; one that
+    came to rest before holds where that balances the interface. No record says which. ``plain`` is the fit of a machine
+    that is released; a cause may do the same as the pull that it leaves unexplained.
+    """
+    items = (pair.train, pair.held_out)
+    search = Search(pair, options["search"])
+    at_rest = replace(pair, **{n: getattr(pair, n).as_settled() for n in ("train", "held_out")})
+
+    def unexplained(h: Hypothesis, of: Pair) -> tuple[float, float]:
+        raw = [(e, JointResiduals(e, (), of.system).raw(h.z)) for e in (of.train, of.held_out)]
+        return sum(h.chi2) - sum(search.samples), float(np.mean([e.standing(r) for e, r in raw])) - 1
+
+    drawn = np.mean([e.standing(e.noise) for e in items], axis=0) - 1
+    noise = (options["search"]["pair_excess_sigma"] * np.sqrt(2 * sum(search.samples)), drawn.max())
+    released = unexplained(plain, pair)
+    if all(left < most for left, most in zip(released, noise, strict=True)):
+        return False
+    settled = unexplained(Search(at_rest, options["search"]).fit((), plain.z), at_rest)
+    return any(
+        left > most and then < (1 - HOLD_SHARE) * left
+        for left, then, most in zip(released, settled, noise, strict=True)
+    )
+
+
+def search_pair(trials: Trials, *, settled: bool = False) -> Found:
+    """Search for the cause; the trials change places where `is_shown_by_held_out_alone`."""
+    pair, z = trials.prepare(settled=settled)
+    if is_shown_by_held_out_alone(pair, z, trials.options):
+        trials.progress(
+            f"{trials.train} shows no gap and {trials.held_out} does: effects are fitted on the latter"
+        )
+        pair, z = trials.exchanged.prepare(settled=settled)
+        pair = replace(pair, exchanged=True)
+    return trials.attribute(pair, z)
+
+
+def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
+    """As `search_pair`, for a machine that is released, and once more for one in equilibrium where it `looks_settled`.
+
+    First what leaves less for its price, then the other, where both were searched. Where a lab knows how its machine
+    was held (``diagnosis.robot_holds``) that alone is searched.
+    """
+    options = trials.options
+    if options["robot_holds"] == BALANCE:
+        return search_pair(trials, settled=True), None
+    released = search_pair(trials)
+    if options["robot_holds"] == START_POSE or not looks_settled(
+        released.pair, released.attribution.plain, options
+    ):
+        return released, None
+    trials.progress("the robot may have been at rest against the strap: searched once more for that")
+    settled = search_pair(trials, settled=True)
+    return (settled, released) if settled.cost(options) < released.cost(options) else (released, settled)
+
+
+def search_both_ways(trials: Trials) -> Outcome:
+    """As `search_initial_states`, with the trials exchanged where nothing fitted to the first explains the second.
+
+    A stop that the first hardly reaches is shown by the second alone.
+    """
+    found, other = search_initial_states(trials)
+    decision = conclude(found, trials.options)
+    if decision.verdict != UNKNOWN or found.pair.exchanged:
+        return Outcome(found, decision, other, False)
+    trials.progress(
+        f"nothing fitted to {trials.train} explains {trials.held_out}: searched once more the other way"
+    )
+    again = trials.attribute(*trials.exchanged.prepare(settled=found.pair.train.settled))
+    second = conclude(again, trials.options)
+    if second.chosen is None:
+        return Outcome(found, decision, other, False)
+    return Outcome(again, second, other, True)
+
+
+def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict[str, Any]) -> bool:
+    """Whether the plain fit (n,) leaves nothing but noise of the fitted trial, and of the other enough to explain.
+
+    A stop, say, that only the second trial reaches: what is fitted to the first learns nothing of it.
+    """
+    left = [JointResiduals(e, (), pair.system).judged(z)[0] for e in (pair.train, pair.held_out)]
+    samples = (pair.train.samples, pair.held_out.samples)
+    noise = samples[0] + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples[0])
+    quiet = left[0] < noise
+    return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
+
+
+def candidates_of(attribution: Attribution, search: dict[str, Any]) -> tuple[Candidate, list[Candidate]]:
+    """Return the plain plant and every refitted set as the decision sees them; ``search``: ``diagnosis.search``."""
+    samples = sum(attribution.samples)
+    noise = samples + search["pair_excess_sigma"] * np.sqrt(2 * samples)
+    return Candidate((), 0, attribution.plain.chi2), [
+        Candidate(
+            h.names,
+            h.own,
+            h.chi2,
+            is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise),
+            is_doubtful(h.effects),
+        )
+        for h in attribution.hypotheses
+    ]
+
+
+def conclude(found: Found, options: dict[str, Any]) -> Decision:
+    """Return the decision, once the sets that it rests on have converged; changes those hypotheses in place."""
+    pair, attribution = found.pair, found.attribution
+    converged: set[int] = set()
+    while True:
+        plain, sets = candidates_of(attribution, options["search"])
+        decision = decide(plain, sets, attribution.samples, options["calibration"])
+        likeliest = decision.chosen
+        if likeliest is None:
+            likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
+        # what leaves far too much does not become the answer by its last percent
+        far = decision.probabilities[UNKNOWN] > CERTAIN
+        known = decision.verdict == NONE or far or likeliest in converged | {-1}
+        if known or len(converged) == options["search"]["final_refits"]:
+            return decision
+        converged.add(likeliest)
+        hypothesis = attribution.hypotheses[likeliest]
+        attribution.hypotheses[likeliest] = finished(pair, hypothesis, options["search"])

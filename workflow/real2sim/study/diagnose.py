@@ -1,0 +1,160 @@
+"""Diagnosis of one person in the strap: canonical tables of three trials in, diagnosis.json out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.diagnosis.answer import Diagnosis, answer
+from real2sim.diagnosis.trials import Trials, search_both_ways
+from real2sim.provenance import fingerprint, provenance
+from real2sim.recording.noise import marker_noise
+from real2sim.recording.quality.verdict import refused_gates
+from real2sim.study.strap import strap_system
+from real2sim.study.strap_evidence import StrapEvidence
+from real2sim.study.strap_recording import load_evidence
+
+_PACKAGES = ["mujoco", "numpy", "scipy"]
+
+
+def _time_step(settings: dict[str, Any], step: Path | None) -> float:
+    """Of the person's step study, of the configuration, or the study's largest candidate."""
+    if step is not None:
+        return float(read_json(step, ("timestep_s",))["timestep_s"])
+    configured = settings["plant"]["timestep_s"]
+    return (
+        float(max(settings["plant"]["study"]["candidates_s"])) if configured == "auto" else float(configured)
+    )
+
+
+def strap_trials(
+    *,
+    train: Path,
+    held_out: Path,
+    neutral: Path,
+    limits: Path | None,
+    robot: Path,
+    settings: dict[str, Any],
+    progress: Callable[[str], None],
+    threads: int = 1,
+) -> Trials:
+    """Return two trials of one person, by the names of their folders of canonical tables.
+
+    ``settings`` as of `diagnose`, with a number for ``plant.timestep_s``; ``threads``: see `PlantSetup`.
+    """
+    folders = {folder.name: folder for folder in (train, held_out)}
+
+    @cache
+    def noise() -> dict[str, Any]:
+        return marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+
+    def load(trial: str, settled: bool) -> StrapEvidence:
+        return load_evidence(
+            folder=folders[trial],
+            neutral=neutral,
+            limits=limits,
+            robot=robot,
+            settings=settings,
+            sd=noise(),
+            settled=settled,
+            threads=threads,
+        )
+
+    system = strap_system(robot, settings)
+    return Trials(train.name, held_out.name, system, load, settings["diagnosis"], progress)
+
+
+def diagnose(
+    *,
+    subject: str,
+    train: Path,
+    held_out: Path,
+    neutral: Path,
+    robot: Path,
+    settings: dict[str, Any],
+    out: Path,
+    limits: Path | None = None,
+    step: Path | None = None,
+    gates: list[Path] | None = None,
+    traces: Path | None = None,
+    threads: int = 1,
+) -> None:
+    """Find where the gap lies, which effect causes it and how far it shrinks; write diagnosis.json.
+
+    Parameters
+    ----------
+    train, held_out, neutral
+        Folders of canonical tables of three trials: results/trials/<SUBJECT>/<TRIAL>.
+    settings
+        Slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the
+        configuration.
+    limits, step
+        Joint limits and step study of the person, where they exist.
+    gates
+        Verdicts on the trials (results/quality/<SUBJECT>/<TRIAL>.json). What they refuse is named in the answer.
+    traces
+        Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
+        with effect.
+    threads
+        That simulate. The answer is the same bits with any number.
+    """
+
+    def progress(text: str) -> None:
+        print(f"{subject}: {text}", file=sys.stderr, flush=True)
+
+    settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
+    outcome = search_both_ways(
+        strap_trials(
+            train=train,
+            held_out=held_out,
+            neutral=neutral,
+            limits=limits,
+            robot=robot,
+            settings=settings,
+            threads=threads,
+            progress=progress,
+        )
+    )
+    if outcome.found.pair.exchanged or outcome.the_other_way:
+        train, held_out = held_out, train
+    progress(f"verdict {outcome.decision.verdict}")
+    result = answer(outcome, settings)
+    if traces is not None:
+        traces.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table(result.traces()), traces, compression="zstd")
+    about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
+    tables = [f / f"{table}.parquet" for f in (train, held_out) for table in ("pose", "markers", "robot")]
+    sources = provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
+    write_json(
+        out,
+        about
+        | {"refused_gates": refused_gates(gates or [])}
+        | result.to_dict()
+        | {"settings": settings, "provenance": sources},
+    )
+
+
+def _about(
+    subject: str, train: Path, held_out: Path, result: Diagnosis, *, the_other_way: bool
+) -> dict[str, Any]:
+    """What diagnosis.json says of the recordings."""
+    pair = result.found.pair
+    by_folder = ((train, pair.train), (held_out, pair.held_out))
+    recorded = {folder.name: e.recorded for folder, e in by_folder if isinstance(e, StrapEvidence)}
+    return {
+        "schema": 1,
+        "subject": subject,
+        "phantom": any(r.trial.phantom for r in recorded.values()),
+        "train": [train.name],
+        "held_out": [held_out.name],
+        "shown_on": [train.name if pair.exchanged else held_out.name],
+        "fitted_the_other_way": the_other_way,
+        "pelvis_markers_jumped_s": {name: dict(r.jumped_s) for name, r in recorded.items() if r.jumped_s},
+    }

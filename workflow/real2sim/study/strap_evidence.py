@@ -1,0 +1,555 @@
+"""What a trial says about a simulation of it: residuals of markers and robot log, in units of their own noise.
+
+A residual of a replay has two sources of noise: that of the interface markers, and that of the pelvis markers, which
+moves the replayed pelvis and reaches the interface through strap and robot. The second is slow and common to markers
+and robot log. Both are simulated from the noise of the markers, and the residuals are whitened by what comes out, per
+band of frequency and over all channels at once. After that a sum of squares is a likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.linalg import block_diag
+
+from real2sim import signals
+from real2sim.diagnosis.whitening import Bands, Whitening
+from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
+from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.chains import Chains, Context, Elsewhere
+from real2sim.effects.replay import EffectReplay, InputBasis
+from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
+from real2sim.inference.cost import TrialCost
+from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes
+from real2sim.recording.noise import BANDS_HZ
+from real2sim.recording.pelvis import lowpass_from_standing, rigid_markers
+from real2sim.recording.skin import Skin
+from real2sim.recording.trial import Trial, replay_inputs
+from real2sim.study import strap_localise
+from real2sim.system.description import System
+from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.plant import STRAP_JOINTS, JointLimits
+
+# What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
+# plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
+ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
+# How late a log's stamps are beside what they say, SD [s], and how well the size of wheels is known, SD: one number a
+# trial each (systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869)
+LOG_LATENCY_S = 0.001
+ODOMETRY_SCALE_SD = 0.005
+# Above this the log's own motion is lost in its noise
+LOG_CUTOFF_HZ = 5.0
+# Most parts of a time step while a cause is only searched for
+COARSE = 2
+# A rest pose that differs along one axis, and a start pose that differs from the observed one
+_REST = next(effect for effect in EFFECTS if effect.name == "preload" and not effect.form)
+_START = Effect(
+    "start",
+    "robot",
+    "the start pose of the robot differs from the observed one",
+    tuple(EffectParameter(f"start_{axis}", "m|rad", -1.0, 1.0, (0.0,)) for axis in AXES),
+    separating_trial="",
+    at_rest=AtRest((0.0,) * len(AXES)),
+    scope="whole",
+    chains=Chains(observation=Elsewhere()),
+)
+# How far the start is moved to learn what that does [m, rad]
+_START_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What was measured in one trial.
+
+    ``robot`` (n, 6) is what `robot_motion` returns, None without a log; ``context`` goes to the effects; ``cost`` is J
+    of the paper; ``coordinates`` (n, 6) of the interface [m, rad]; ``skin`` is what the pelvis' markers show of each
+    other; ``jumped_s`` for how long [s] pelvis markers jumped; ``pelvis_cutoff_hz`` of the low-pass of the pelvis path.
+    """
+
+    trial: Trial
+    robot: np.ndarray | None
+    context: Context
+    cost: TrialCost
+    coordinates: np.ndarray
+    pelvis_cutoff_hz: float
+    skin: Skin | None = None
+    jumped_s: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations of what is measured, as quiet standing and the trial's start show them.
+
+    ``marker_sd``, ``colour`` and ``robot_sd`` of markers and robot log (`marker_noise`, `noise_colour`, `robot_noise`);
+    ``rest_sd`` (6,) of the rest pose (`rest_uncertainty`); ``hold_sd`` (2, 6) of where a robot at rest holds and how
+    fast it moves at the start (`hold_uncertainty`); ``let_go`` (6, 6) what one SD of each robot joint at the start does
+    to the start pose (`moved_to_first`); ``log_offset_sd_s`` of the log's clock [s].
+    """
+
+    marker_sd: Mapping[str, np.ndarray]
+    colour: np.ndarray
+    robot_sd: np.ndarray
+    rest_sd: np.ndarray
+    hold_sd: np.ndarray
+    let_go: np.ndarray
+    log_offset_sd_s: float
+
+
+@dataclass(frozen=True)
+class Elsewheres:
+    """Change of the residuals by per-trial nuisance parameters.
+
+    ``rests`` (6, n, c) by a rest pose one SD off, axis by axis; ``starts`` (6, n, c) per metre and radian of a start
+    pose; ``holds`` (k, n, c) by a controller that holds one SD beside equilibrium, none for a robot that is let go.
+    """
+
+    rests: np.ndarray
+    starts: np.ndarray
+    holds: np.ndarray
+
+
+@dataclass(frozen=True)
+class PlantSetup:
+    """What a replay of the trial is built from: system, settings, joint limits, threads of a simulation."""
+
+    system: System
+    settings: dict[str, Any]
+    limits: JointLimits | None
+    threads: int = 1
+
+
+@dataclass
+class ReplayCache:
+    """What replays of one trial have computed and later ones take from there; it changes no result.
+
+    ``bases`` of input chains; ``draws`` of noise as pelvis paths; ``commands`` of those paths at a time step;
+    ``drives`` by time step; ``start_joints`` (6,) of the robot.
+    """
+
+    drives: dict[float, PelvisDrive] = field(default_factory=dict)
+    bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
+    draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
+    start_joints: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class StrapEvidence:
+    """One trial of a person in the strap, its replay with room for effects, and the noise of its residuals.
+
+    ``settled``: the robot is in static equilibrium with the strap at the start, see `EffectReplay`; ``held_out``: not
+    the trial that is fitted. ``elsewhere`` and ``whitening`` are None until `with_noise` has simulated the noise.
+    """
+
+    recorded: Recorded
+    levels: NoiseLevels
+    scales: Scales
+    setup: PlantSetup
+    settled: bool = False
+    held_out: bool = False
+    elsewhere: Elsewheres | None = None
+    whitening: Whitening | None = None
+    cache: ReplayCache = field(default_factory=ReplayCache, repr=False)
+
+    @property
+    def trial(self) -> Trial:
+        """Measured paths of the trial."""
+        return self.recorded.trial
+
+    @property
+    def robot(self) -> np.ndarray | None:
+        """Logged robot joints (n, 6) relative to their mean while the person stands [m, rad]; None without a log."""
+        return self.recorded.robot
+
+    @property
+    def context(self) -> Context:
+        """What effects are computed from."""
+        return self.recorded.context
+
+    @property
+    def cost(self) -> TrialCost:
+        """J of the paper."""
+        return self.recorded.cost
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Simulated residuals (draws, n, c) of a perfect model [m, rad]."""
+        return self._whitening.noise
+
+    @property
+    def _whitening(self) -> Whitening:
+        if self.whitening is None:
+            raise ValueError("the noise of this trial has not been simulated: call with_noise first")
+        return self.whitening
+
+    @property
+    def bands(self) -> Bands:
+        """Bands of frequency within which the noise is taken as equal."""
+        time_s = self.trial.time_s
+        return Bands(BANDS_HZ, len(time_s), float(time_s[1] - time_s[0]))
+
+    @property
+    def channels(self) -> int:
+        """Six of the markers, and six of the robot where it was logged."""
+        return 6 if self.robot is None else 12
+
+    @property
+    def samples(self) -> int:
+        """Number of whitened residuals."""
+        return self.bands.last * self.channels
+
+    def replay(self, effects: Sequence[Placed], nsim: int, *, coarse: bool = False) -> EffectReplay:
+        """A replay of this trial with effects, at a fraction of the time step where one of them needs it.
+
+        ``coarse``: at half of the time step at least, which is less exact and costs less.
+        """
+        trial = self.trial
+        parts = max([1, *(e.effect.plant.substeps for e in effects)])
+        h = float(self.setup.settings["plant"]["timestep_s"]) / (min(parts, COARSE) if coarse else parts)
+        if h not in self.cache.drives:
+            rotation, position = trial.pelvis_rotation, trial.pelvis_position
+            self.cache.drives[h] = pelvis_drive(trial.time_s, rotation, position, h)
+        settings = self.setup.settings | {"plant": self.setup.settings["plant"] | {"timestep_s": h}}
+        steps = trial.time_s[0] + h * np.arange(len(self.cache.drives[h].position))
+        replay = EffectReplay(
+            effects=effects,
+            context=replace(self.context, step_time_s=steps, held_out=self.held_out),
+            scales=self.scales,
+            system=self.setup.system,
+            **replay_inputs(trial, self.setup.limits, self.setup.system.model, settings),
+            nsim=nsim,
+            drive=self.cache.drives[h],
+            bases=self.cache.bases,
+            settled=self.settled,
+            start_joints=self.cache.start_joints,
+            threads=self.setup.threads,
+        )
+        self.cache.start_joints = replay.start_joints
+        return replay
+
+    def as_held_out(self) -> StrapEvidence:
+        """The same trial as the one that is not fitted."""
+        return replace(self, held_out=True)
+
+    def as_settled(self) -> StrapEvidence:
+        """The same trial of a robot in static equilibrium with the strap."""
+        return replace(self, settled=True)
+
+    def with_scales(self, scales: Scales) -> StrapEvidence:
+        """The same trial with other units of the effects' parameters."""
+        return replace(self, scales=scales)
+
+    @property
+    def skin(self) -> Skin | None:
+        """What the pelvis' markers show of each other."""
+        return self.recorded.skin
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate."""
+        return 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
+
+    @property
+    def plain_samples(self) -> float:
+        """Six coordinates of two markers, of which each sample of J counts one marker."""
+        return 6 * self.cost.samples / 2
+
+    @property
+    def noise_source(self) -> str:
+        """Where the noise floor comes from, in words."""
+        return "marker noise of the trials, simulated through the plant"
+
+    def floor_draws(self) -> np.ndarray:
+        """J (draws,) of noise alone."""
+        noise = self.noise[:, :, :6]
+        return np.asarray(self.cost.energy(noise.reshape(*noise.shape[:2], 2, 3)))
+
+    def residual_sd(self) -> dict[str, float]:
+        """RMS [m] over draws and samples of what noise alone leaves, by interface marker and world axis."""
+        rms = np.sqrt(np.mean(self.noise[:, :, :6] ** 2, axis=(0, 1)))
+        names = [f"{marker}_{axis}" for marker in INTERFACE_MARKERS for axis in "xyz"]
+        return {name: float(value) for name, value in zip(names, rms, strict=True)}
+
+    def axis_shares(self, paths: np.ndarray) -> dict[str, float]:
+        """Share of the gap by coordinate of the interface, of simulated markers (n, 2, 3) [m]."""
+        return strap_localise.axis_shares(self._gap(paths))
+
+    def locate(self, paths: np.ndarray, explained: np.ndarray | None) -> dict[str, Any]:
+        """How J of simulated markers (n, 2, 3) [m] is spread over sides, terms, time, frequency and regime."""
+        return strap_localise.where(self._gap(paths), explained)
+
+    def _gap(self, paths: np.ndarray) -> strap_localise.Gap:
+        c = self.context
+        return strap_localise.Gap(
+            self.trial.time_s,
+            self.trial.interface,
+            paths,
+            self.noise[:, :, :6],
+            self.cost,
+            self.scales,
+            self.recorded.coordinates,
+            c.rates,
+            c.pelvis_rotation,
+        )
+
+    def traces(self, plain: np.ndarray, with_effect: np.ndarray) -> dict[str, np.ndarray]:
+        """Time [s] and interface markers [m, world], measured, plain and with effect."""
+        columns = {"time_s": self.trial.time_s}
+        paths = {"measured": self.trial.interface, "plain": plain, "with_effect": with_effect}
+        for kind, path in paths.items():
+            for m, marker in enumerate(INTERFACE_MARKERS):
+                columns |= {f"{kind}_{marker}_{c}": path[:, m, i] for i, c in enumerate("xyz")}
+        return columns
+
+    def adapted(self, parameters: np.ndarray) -> StrapEvidence:
+        """The same trial with the effects' parameters in units of a plain fit (12,) of it."""
+        model = self.replay([], 1).model
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        dofs = [model.joint(name).dofadr[0] for name in STRAP_JOINTS]
+        inertia = 1 / np.diag(np.linalg.inv(mass))[dofs]
+        scales = Scales(self.scales.q, self.scales.v, parameters[:6], parameters[6:], inertia)
+        return replace(self, scales=scales)
+
+    def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Residuals (m, n, c) simulated minus measured, gaps bridged by straight lines."""
+        error = paths.reshape(*paths.shape[:2], 6) - self.trial.interface.reshape(-1, 6)
+        if self.robot is not None:
+            error = np.concatenate([error, self._from_start(joints) - self.robot], axis=2)
+        return self._without_gaps(error)
+
+    def _from_start(self, joints: np.ndarray) -> np.ndarray:
+        """Robot joints (m, n, c) relative to their mean while the person stands, as the log is taken."""
+        return joints - joints[:, : self.context.start].mean(axis=1, keepdims=True)
+
+    def _without_gaps(self, error: np.ndarray) -> np.ndarray:
+        """Residuals (m, n, c) with straight lines where pelvis or channel is unknown, and a while after a gap."""
+        known = self._measured
+        sample = np.arange(error.shape[1])
+        for c in np.flatnonzero(~known.all(axis=0)):
+            good = known[:, c]
+            for row in error:
+                row[~good, c] = np.interp(sample[~good], sample[good], row[good, c])
+        return error
+
+    @cached_property
+    def _measured(self) -> np.ndarray:
+        """Where each channel counts, (n, c)."""
+        known = np.isfinite(self.trial.interface.reshape(-1, 6))
+        if self.robot is not None:
+            known = np.hstack([known, np.isfinite(self.robot)])
+        return known & self.trial.usable[:, None]
+
+    def j(self, paths: np.ndarray) -> np.ndarray:
+        """J of the paper (m,) of simulated marker paths (m, n, 2, 3)."""
+        return np.asarray(self.cost(paths).total)
+
+    def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Residuals (m, n_r) whose squares sum to chi-squared; NaN where a simulation failed."""
+        return self.whiten(self.raw(paths, joints))
+
+    def whiten(self, error: np.ndarray) -> np.ndarray:
+        """As `whitened`, from residuals (m, n, c)."""
+        return self._whitening.apply(error)
+
+    def standing(self, error: np.ndarray) -> np.ndarray:
+        """Mean square (m,) of residuals (m, n, c) while the person stands, in units of what noise leaves there."""
+        first = slice(None, self.context.start)
+        usual = np.mean(self.noise[:, first] ** 2, axis=(0, 1)) + self._floor**2
+        return np.asarray(np.mean(error[:, first] ** 2 / usual, axis=(1, 2)))
+
+    def with_spikes(self, paths: np.ndarray) -> StrapEvidence:
+        """Mark where markers jump out of what simulated paths (n, 2, 3) [m] leave of them; self where none is new.
+
+        A motion hides jumps that its simulation does not make.
+        """
+        rate = 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
+        known = self.context.spikes
+        found = spikes(self.trial.interface - paths, rate, SPIKE_RESIDUAL_SD) | known
+        if not (found & ~known).any():
+            return self
+        context = replace(self.context, spikes=found)
+        return replace(self, recorded=replace(self.recorded, context=context))
+
+    def with_noise(self, parameters: np.ndarray, draws: int, seed: int) -> StrapEvidence:
+        """Whiten by noise of the markers simulated through the plant with plain strap ``parameters`` (12,)."""
+        known = replace(self, elsewhere=self._elsewhere(parameters))
+        error, drawn = known._noise(parameters, draws, seed)
+        nuisance = known._nuisance(seed, draws)
+        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self._floor)
+        return replace(known, whitening=whitening)
+
+    @property
+    def _floor(self) -> np.ndarray:
+        """What each channel is never trusted beyond, (c,)."""
+        return np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
+
+    def noise_through(
+        self,
+        effects: Sequence[Placed],
+        parameters: np.ndarray,
+        x: Sequence[np.ndarray],
+        draws: int,
+        seed: int,
+    ) -> np.ndarray:
+        """Chi-squared (draws,) that noise alone leaves where effects with searched numbers x (p,) each are the truth.
+
+        Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
+        """
+        error, drawn = self._noise(parameters, draws, seed, effects, x)
+        return np.sum(self.whiten(error + drawn) ** 2, axis=1)
+
+    def _noise(
+        self,
+        parameters: np.ndarray,
+        draws: int,
+        seed: int,
+        effects: Sequence[Placed] = (),
+        x: Sequence[np.ndarray] = (),
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (draws, n, c) of a perfect model: noise of markers, replayed pelvis and log; what nobody knows."""
+        replay = self.replay(list(effects), draws + 1, coarse=True)
+        self._shake(replay, draws, seed)
+        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        rng = np.random.default_rng([seed, draws])
+        logged = self.levels.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
+        error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
+        nuisance = self._nuisance(seed, draws)
+        drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
+        return self._without_gaps(error), drawn
+
+    def _nuisance(self, seed: int, draws: int) -> np.ndarray:
+        """Return the change of the residuals (k, n, c) by one SD of each per-trial nuisance parameter.
+
+        Where the strap rests, the robot starts and its controller holds, when the log was written and how far the
+        wheels roll: each is one number for the whole trial and no noise that comes and goes.
+        """
+        if self.elsewhere is None:
+            raise ValueError("the noise of this trial has not been simulated: call with_noise first")
+        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        misjudged = self._misjudged(markers)
+        covariance = misjudged.T @ misjudged / draws + self.levels.let_go.T @ self.levels.let_go
+        values, axes = np.linalg.eigh(covariance)
+        roots = np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
+        started = np.tensordot(roots, self.elsewhere.starts, axes=1)
+        parts = [self.elsewhere.rests, started, self.elsewhere.holds]
+        if self.robot is not None:
+            parts.append(self._log_unknown())
+        return self._without_gaps(np.concatenate(parts))
+
+    def _log_unknown(self) -> np.ndarray:
+        """What a late log and wheels of another size, by one SD each, do to the residuals (3, n, c)."""
+        assert self.robot is not None
+        h = float(self.trial.time_s[1] - self.trial.time_s[0])
+        path = signals.lowpass(signals.bridged(self.robot), 1 / h, LOG_CUTOFF_HZ, 4)
+        out = np.zeros((3, len(path), self.channels))
+        out[0, :, 6:] = np.hypot(self.levels.log_offset_sd_s, LOG_LATENCY_S) * np.gradient(path, h, axis=0)
+        out[1, :, 6:8] = ODOMETRY_SCALE_SD * path[:, :2]
+        out[2, :, 8] = ODOMETRY_SCALE_SD * path[:, 2]
+        return out
+
+    def _misjudged(self, markers: np.ndarray) -> np.ndarray:
+        """How far noise (draws, n, 2, 3) [m] of the markers moves and turns the start pose: (draws, 6) [m, rad]."""
+        left, right = np.moveaxis(markers[:, : self.context.start].mean(axis=1), 1, 0)
+        bar = np.diff(np.nanmean(self.trial.interface[: self.context.start], axis=0)[::-1], axis=0)[0]
+        return np.hstack([(left + right) / 2, np.cross(bar, left - right) / (bar @ bar)])
+
+    def _elsewhere(self, parameters: np.ndarray) -> Elsewheres:
+        """What a strap that rests, a robot that starts and a controller that holds elsewhere do to the residuals.
+
+        (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
+        for a hold one SD off (`hold_uncertainty`), by robot joint, none for a robot that is let go.
+        """
+        effects = [Placed(_REST, where, self.scales) for where in _REST.places(self.setup.system)]
+        effects.append(Placed(_START, _START.place(self.setup.system), self.scales))
+        off = block_diag(*map(np.diag, self.levels.hold_sd)) if self.settled else np.empty((0, 12))
+        m = 1 + 2 * 6 + len(off)
+        x = [np.zeros((m, len(placed.effect.parameters))) for placed in effects]
+        for i, placed in enumerate(effects[:6]):
+            x[i][1 + i] = self.levels.rest_sd[placed.where.axes[0]] / placed.values(np.ones((1, 1)))
+        x[6][7:13] = _START_STEP * np.eye(6)
+        replay = self.replay(effects, m, coarse=True)
+        replay.hold_beside(*np.hsplit(np.concatenate([np.zeros((13, 12)), off]), 2))
+        paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
+        out = paths.reshape(m, -1, 6)
+        if self.robot is not None:
+            out = np.concatenate([out, self._from_start(joints)], axis=2)
+        # a pose that MuJoCo gives up on is none that was
+        moved = np.nan_to_num(out[1:] - out[:1])
+        return Elsewheres(moved[:6], moved[6:12] / _START_STEP, moved[12:])
+
+    def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+        """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
+        replay = self.replay([], draws + 1)
+        self._shake(replay, draws, seed)
+        return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
+
+    def _filtered_noise(
+        self, names: tuple[str, ...], colour: np.ndarray, cutoff_hz: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Noise (n, m, 3) [m] of markers as the filter leaves it, ``colour`` (bands,) as of `noise_colour`."""
+        settings, n = self.setup.settings["ingest"], len(self.trial.time_s)
+        white = rng.standard_normal((n, len(names), 3)) * np.array([self.levels.marker_sd[m] for m in names])
+        if (colour > 1).any():
+            frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
+            louder = np.sqrt(colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
+            white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
+        rate, own = settings["rate_hz"], settings["cutoff_hz"]
+        if cutoff_hz < own:
+            return lowpass_from_standing(white, rate, cutoff_hz, self.context.start)
+        return signals.lowpass(white.reshape(n, -1), rate, own, settings["filter_order"]).reshape(white.shape)
+
+    def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
+        if (seed, i) not in self.cache.draws:
+            trial, rng = self.trial, np.random.default_rng([seed, i])
+            clean = rigid_markers(trial)
+            r_clean, p_clean = pelvis_frame(*clean)
+            noise = self._filtered_noise(
+                PELVIS_MARKERS, self.levels.colour[0], self.recorded.pelvis_cutoff_hz, rng
+            )
+            r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
+            turn = np.einsum("nij,nkj->nik", r, r_clean)
+            rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
+            own = self._filtered_noise(
+                INTERFACE_MARKERS, self.levels.colour[1], self.setup.settings["ingest"]["cutoff_hz"], rng
+            )
+            self.cache.draws[seed, i] = rotation, position, own
+        return self.cache.draws[seed, i]
+
+    def _shake(self, replay: EffectReplay, draws: int, seed: int) -> None:
+        """Give all simulations of a replay but the first a pelvis that was measured with other noise."""
+        h = replay.model.opt.timestep
+        for i in range(draws):
+            key = seed, i, h
+            if key not in self.cache.commands:
+                self.cache.commands[key] = replay.command_for(*self._draw(seed, i)[:2])
+            replay.set_command(i + 1, self.cache.commands[key])
+
+    def _apart(
+        self,
+        replay: EffectReplay,
+        parameters: np.ndarray,
+        draws: int,
+        markers: np.ndarray | float,
+        logged: np.ndarray | float,
+        x: Sequence[np.ndarray] = (),
+    ) -> np.ndarray:
+        """Residuals (draws, n, c) of the shaken simulations against the first, less noise of the channels themselves.
+
+        That is ``markers`` (draws, n, 2, 3) [m], and ``logged`` (draws, n, 6) of the robot's log [m, rad].
+        """
+        alike = [np.tile(part, (draws + 1, 1)) for part in (parameters, *x)]
+        paths, joints = replay.run_effects(alike[0], alike[1:])
+        error = (paths[1:] - paths[:1] - markers).reshape(draws, -1, 6)
+        if self.robot is not None:
+            error = np.concatenate([error, self._from_start(joints[1:] - joints[:1]) - logged], axis=2)
+        return error

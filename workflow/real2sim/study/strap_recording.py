@@ -1,0 +1,159 @@
+"""Evidence of a trial in the strap, read from canonical tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim import signals
+from real2sim.effects.base import Scales
+from real2sim.effects.chains import Context, markers_of
+from real2sim.geometry import interface_frame
+from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.recording.jumps import spikes, without_ghosts
+from real2sim.recording.noise import hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.pelvis import pelvis_shape, smoothed_pelvis
+from real2sim.recording.skin import skin_of
+from real2sim.recording.start import at_first, moved_to_first
+from real2sim.recording.tables import (
+    bridged_rotation,
+    log_offset_sd,
+    mean_pelvis,
+    measured_coordinates,
+    robot_motion,
+    without_filled,
+)
+from real2sim.recording.trial import Trial, load_limits, load_trial
+from real2sim.study.strap import strap_system
+from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
+from real2sim.system.plant import impedances, load_robot
+
+
+def load_evidence(
+    *,
+    folder: Path,
+    neutral: Path,
+    limits: Path | None,
+    robot: Path,
+    settings: dict[str, Any],
+    sd: Mapping[str, np.ndarray],
+    settled: bool = False,
+    threads: int = 1,
+) -> StrapEvidence:
+    """Read the evidence of one trial from its canonical tables, not whitened yet.
+
+    Parameters
+    ----------
+    folder, neutral
+        results/trials/<SUBJECT>/<TRIAL> of the trial and of the neutral one.
+    limits
+        Joint limits of the person; None lets the strap's joints go anywhere.
+    settings
+        Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
+    sd
+        Raw noise (3,) [m] of each marker, see `marker_noise`.
+    settled, threads
+        See `StrapEvidence`, `PlantSetup`.
+    """
+    rate = settings["ingest"]["rate_hz"]
+    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
+    recorded, qd, let_go = _read(folder, neutral, robot, settings, sd, log_sd)
+    start = recorded.context.start
+    held = impedances(settings["robot"], "hold")
+    twin = load_robot(robot).compile()
+    standing = neutral / "pose.parquet"
+    levels = NoiseLevels(
+        sd,
+        noise_colour(neutral / "markers.parquet", rate),
+        log_sd,
+        rest_uncertainty(standing, rate),
+        hold_uncertainty(standing, folder / "pose.parquet", start, rate, twin, held),
+        let_go,
+        log_offset_sd(folder / "quality.json"),
+    )
+    ones = np.ones(6)
+    scales = Scales(_large(recorded.coordinates), _large(qd), ones, ones, ones)
+    known = None if limits is None else load_limits(limits)
+    return StrapEvidence(
+        recorded, levels, scales, PlantSetup(strap_system(robot, settings), settings, known, threads), settled
+    )
+
+
+def _read(
+    folder: Path,
+    neutral: Path,
+    robot: Path,
+    settings: dict[str, Any],
+    sd: Mapping[str, np.ndarray],
+    log_sd: np.ndarray,
+) -> tuple[Recorded, np.ndarray, np.ndarray]:
+    """What was measured, rates (n, 6) of the interface, and the uncertainty (6, 6) of the start pose by the log."""
+    ident, rate = settings["identification"], settings["ingest"]["rate_hz"]
+    trial = load_trial(
+        folder / "pose.parquet",
+        folder / "markers.parquet",
+        start_window_s=ident["start_window_s"],
+        settle_s=ident["settle_after_gap_s"],
+    )
+    trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rate))
+    start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
+    trial, jumped = without_ghosts(trial, rate, ident["settle_after_gap_s"])
+    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
+    measured = robot_motion(folder / "robot.parquet", trial.interface, start)
+    let_go = np.zeros((6, 6))
+    if measured is not None:
+        trial, let_go = moved_to_first(trial, robot, *at_first(measured, start, rate, log_sd))
+    q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
+    context = _context(
+        trial, neutral, robot, start, rate, *(signals.lowpass(x, rate, cutoff, 4) for x in (q, qd))
+    )
+    sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
+    cost = TrialCost(trial.interface, rate, sigma, trial.usable)
+    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape)
+    return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped), qd, let_go
+
+
+def _context(
+    trial: Trial,
+    neutral: Path,
+    robot: Path,
+    start: int,
+    rate_hz: float,
+    coordinates: np.ndarray,
+    rates: np.ndarray,
+) -> Context:
+    """What effects are computed from; ``start`` samples while the person stands."""
+    twin = load_robot(robot).compile()
+    rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
+    return Context(
+        trial.time_s,
+        trial.time_s,
+        bridged_rotation(trial.pelvis_rotation),
+        signals.bridged(trial.pelvis_position),
+        bridged_rotation(rotation),
+        start,
+        float(twin.body_mass.sum()),
+        trial.interface,
+        spikes(trial.interface, rate_hz),
+        coordinates,
+        rates,
+        *mean_pelvis(neutral),
+        pelvis_shape(trial),
+        _rest_shape(trial),
+        twin.body("interface").pos,
+    )
+
+
+def _large(values: np.ndarray) -> np.ndarray:
+    """Large excursions (6,): the 95th percentile of the size."""
+    return np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6)
+
+
+def _rest_shape(trial: Trial) -> np.ndarray:
+    """Where the interface's markers are to the pelvis at rest, (2, 3) [m]."""
+    half = float(np.nanmean(np.linalg.norm(trial.interface[:, 0] - trial.interface[:, 1], axis=1))) / 2
+    return markers_of(trial.rest.rotation, trial.rest.position, half)

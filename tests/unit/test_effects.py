@@ -21,7 +21,6 @@ from real2sim.signals import lowpass
 from real2sim.study import strap_evidence
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
 from real2sim.system.replay import servo_command
-from real2sim.verification.suite.plan import EFFECTS as SUITE_EFFECTS
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -46,10 +45,6 @@ IMPEDANCE = InterfaceImpedance(PRIOR[None, :6], PRIOR[None, 6:])
 def plain() -> tuple[np.ndarray, np.ndarray]:
     """Marker paths and robot joints of the plain plant."""
     return replay([]).run_effects(PRIOR[None], [])
-
-
-def test_catalogue_has_the_names_that_the_suite_is_made_of():
-    assert tuple(dict.fromkeys(effect.name for effect in SHIPPED)) == SUITE_EFFECTS
 
 
 def _everywhere(effect: Effect) -> list[Placed]:

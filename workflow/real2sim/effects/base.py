@@ -122,7 +122,7 @@ class Fields:
 class Law(Protocol):
     """Force of a controller on the machine in some simulations side by side, from values, `before` and the step.
 
-    ``hears`` is "strap", the interface's force on the machine along world x and y, or "base", the displacement of the
+    ``hears`` is "interface", its force on the machine along world x and y, or "base", the displacement of the
     base from its start along x, y and about z. ``before`` (m, j) [N, world | m, rad] is the input until the trial
     began.
     """

@@ -11,7 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from real2sim.effects import (
     controller,
-    damping,
+    dampers,
     floor,
     frames,
     friction,
@@ -49,7 +49,7 @@ _MODULES = (
     migration,
     frames,
     stops,
-    damping,
+    dampers,
     mass,
     robot,
     controller,

@@ -17,7 +17,7 @@ from real2sim.system.description import BASE_JOINTS
 class Reaction:
     """F = g y, T y' = pull - y: values (m, 3) are gain, delay [s] and smoothing T [s]."""
 
-    hears = "strap"
+    hears = "interface"
 
     def __init__(self, values: np.ndarray, before: np.ndarray, step_s: float):
         self._gain, self.delay, smoothing = values.T
@@ -34,7 +34,7 @@ class Admittance:
     The force before the trial has leaked away or is part of the controller's set-point.
     """
 
-    hears = "strap"
+    hears = "interface"
 
     def __init__(self, values: np.ndarray, before: np.ndarray, step_s: float):
         self.delay = np.zeros(len(values))

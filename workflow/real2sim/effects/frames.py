@@ -24,7 +24,7 @@ from real2sim.effects.base import (
 )
 from real2sim.effects.chains import Chains, Observation
 
-# Effects that are mistaken for each other
+# Confusable effects
 TURNS = ("cross_coupling", "misalignment", "lab_yaw")
 RESTS = ("preload", "tilt", "marker_offset")
 # Tendons over the sum and the difference of two coordinates: with opposite signs they leave the product of the two

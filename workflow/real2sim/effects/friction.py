@@ -16,7 +16,7 @@ from real2sim.effects.base import (
     rate,
 )
 
-# Effects that are mistaken for each other
+# Confusable effects
 LOSSES = ("coulomb", "lugre", "hysteresis", "relaxation", "creep", "quadratic_damping")
 # An axis that hardly slips is fitted as a stiff one, and friction beyond its force in the plain fit holds it
 FRICTION = EffectParameter("force", "N|Nm", 0.002, 15.0, (0.05, 0.3), interface_force, log=True)

@@ -43,7 +43,7 @@ class TurnedBack(Mechanism):
 def turned_motion(values, context):
     """Return the path (n, 3, 3), (n, 3) of the segment in the interface's frame, of a yaw (1,) [rad]."""
     # The segment in the interface's frame, turned about the vertical through the lab's origin. The rest pose was taken
-    # in two frames too: what it holds of the turn at the place of the neutral trial goes with the segment.
+    # in two frames too: its share of the turn, at the place of the neutral trial, moves with the segment.
     turn = Rotation.from_rotvec([0, 0, -values[0]]).as_matrix()
     rest, where = context.neutral_rotation, context.neutral_position
     fixed = rest.T @ turn.T @ rest

@@ -57,7 +57,7 @@ class OnStrap(Observation):
         first = slice(0, context.start)
         pelvis, origin = mean_rotation(context.pelvis_rotation[first]), context.pelvis_position[first].mean(0)
         markers = markers_of(seen.rotation, seen.position, _half(context))
-        # what is seen goes (1 - part) of the way that the robot goes
+        # the markers move (1 - part) of the way of the robot
         way = ((markers - origin) @ pelvis - context.rest_shape) / (1 - values)
         left, right = origin + (context.rest_shape + way) @ pelvis.T
         rotation, position = interface_frame(left, right, seen.rotation[:, 2])
@@ -88,7 +88,7 @@ def _from_centres(
     """Return the pose of the interface from that of markers ``half`` [m] from their middle, with offsets (2, 3) [m]."""
     markers = markers_of(rotation, position, half)
     true = rotation
-    # the offsets are known in the axes that are sought
+    # the offsets are given in the axes that are to be found: iterate
     for _ in range(3):
         left, right = markers - offsets @ true.T
         true, centre = interface_frame(left, right, rotation[:, 2])
@@ -148,7 +148,7 @@ def drifting_marker(side: int):
 
 def without_spikes(paths, values, context):
     """Return marker paths (m, n, k, 3) with the measurement where it jumps."""
-    # what is no marker says nothing about the model; a gap beside a jump has nothing to show instead
+    # a jump is no evidence about the model; a gap beside it has no measurement to show instead
     out = paths.copy()
     jumps = context.spikes & np.isfinite(context.measured).all(axis=2)
     out[:, jumps] = context.measured[jumps]

@@ -7,7 +7,7 @@ import numpy as np
 from real2sim.effects.base import AtRest, Effect, EffectParameter, excursion
 from real2sim.effects.planned import PlannedForce
 
-# Effects that are mistaken for each other
+# Confusable effects
 DRIFTS = ("migration", "marker_drift", "creep")
 
 

@@ -378,7 +378,7 @@ class EffectReplay(Replay):
         m, h = len(pulled), self.model.opt.timestep
         answers = {}
         for i, law in self._laws.items():
-            before = pulled if law.hears == "strap" else np.zeros((m, 3))
+            before = pulled if law.hears == "interface" else np.zeros((m, 3))
             answers[i] = Answer(law(self._values[i][:m], before, h), before, h, self.nstep)
             self._control[:m, :1, self._columns_of[i]] = answers[i].plan(1)
         return answers
@@ -397,7 +397,7 @@ class EffectReplay(Replay):
             done = batch.rollout(window.stop - first, control, record=_HEARD, ids=ids)
             self._sensors[:m, window] = done["sensordata"]
             pull[:, window] = self._strap_force(done, window)
-            heard = {"strap": pull[:, window], "base": done["sensordata"][..., base] - start}
+            heard = {"interface": pull[:, window], "base": done["sensordata"][..., base] - start}
             for answer in answers.values():
                 answer.learn(heard[answer.hears])
         return pull

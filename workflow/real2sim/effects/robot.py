@@ -17,7 +17,7 @@ from real2sim.effects.base import (
 )
 from real2sim.system.description import ARM_JOINTS, BASE_JOINTS
 
-# Effects that are mistaken for each other
+# Confusable effects
 LOADS = ("added_mass", "base_compliance", "controller_reaction")
 
 

@@ -23,7 +23,7 @@ from real2sim.effects.base import (
 )
 from real2sim.effects.planned import DrivenForce
 
-# Effects that are mistaken for each other
+# Confusable effects
 SHAPES = ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit")
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from real2sim.effects.base import AtRest, Effect, EffectParameter
 from real2sim.effects.chains import Chains
 
-# Effects that are mistaken for each other
+# Confusable effects
 DELAYS = ("replay_lag", "sync_offset", "clock_drift", "filter_lag")
 
 

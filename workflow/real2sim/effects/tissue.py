@@ -81,7 +81,7 @@ EFFECTS = (
         (
             *_SKIN,
             near_zero("lag", "s", 0.01, 0.1),
-            # skin rings at 1 to 4 Hz: what would ring faster is what the low-pass takes from the path
+            # skin rings at 1 to 4 Hz; the low-pass of the path removes faster ringing
             EffectParameter("mobility", "s2", 0.0016, 0.025, (0.004,)),
         ),
         separating_trial="a marker cluster beside the pelvis markers, quiet standing and a passive pull",

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-# The 28 effects of the catalogue, in its order
+# The effects that the suite is made of: those shipped, in the order of the catalogue. Listed again, because the
+# Snakefile imports this module whenever it is parsed, and the catalogue imports MuJoCo.
 EFFECTS = (
     "slack",
     "one_sided",
@@ -44,7 +45,8 @@ EFFECTS = (
     "outliers",
 )
 
-# Effects that kinematics alone can hardly tell apart: a mixture takes no two of one group
+# A mixture takes no two effects of one group. These are not `are_confusable` of the catalogue: the pairs are drawn by
+# their number, and other groups would change the cases of every seed that has been answered.
 GROUPS = (
     ("replay_lag", "sync_offset", "filter_lag", "clock_drift"),
     ("one_sided", "preload", "tilt", "marker_offset", "asymmetric_stiffness"),

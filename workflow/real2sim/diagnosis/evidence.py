@@ -15,7 +15,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from scipy.fft import dct, idct
+from scipy.fft import dct
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +26,7 @@ from real2sim.effects.chains import Context, Elsewhere, markers_of
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
-from real2sim.recording.noise import BANDS_HZ, hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.skin import Skin, skin_of
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import (
@@ -85,8 +85,8 @@ class Evidence:
 
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
-    paper; ``coordinates`` (n, 6) are measured. ``marker_sd``, ``colour`` and ``robot_sd`` are the noise of markers and
-    robot log (`marker_noise`, `noise_colour`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
+    paper; ``coordinates`` (n, 6) are measured. ``noise_model`` and ``robot_sd`` are the noise of markers and robot log
+    (`NoiseModel`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
     what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
     and ``skin`` what the pelvis' markers say of each other. ``jumped_s`` is for how long [s] pelvis markers jumped.
@@ -110,8 +110,7 @@ class Evidence:
     limits: JointLimits | None
     drives: dict[float, PelvisDrive]
     coordinates: np.ndarray
-    marker_sd: dict[str, np.ndarray]
-    colour: np.ndarray
+    noise_model: NoiseModel
     robot_sd: np.ndarray
     rest_sd: np.ndarray
     hold_sd: np.ndarray
@@ -209,13 +208,13 @@ class Evidence:
 
     def _last(self, n: int) -> int:
         duration = n * float(self.trial.time_s[1] - self.trial.time_s[0])
-        return min(n, int(2 * duration * BANDS_HZ[-1]))
+        return self.noise_model.bands.coefficients(n, duration)
 
     def band_of(self, n: int) -> np.ndarray:
         """Band index of each cosine coefficient of n samples."""
         duration = n * float(self.trial.time_s[1] - self.trial.time_s[0])
         frequency = np.arange(self._last(n)) / (2 * duration)
-        return np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")
+        return self.noise_model.bands.band_of(frequency)
 
     def j(self, paths: np.ndarray) -> np.ndarray:
         """J of the paper (m,) of simulated marker paths (m, n, 2, 3)."""
@@ -269,7 +268,7 @@ class Evidence:
         coefficients = self.spectrum(error)
         band = self.band_of(n)
         whiteners = []
-        for b in range(len(BANDS_HZ) - 1):
+        for b in range(len(self.noise_model.bands.edges_hz) - 1):
             rows = coefficients[:, band == b].reshape(-1, self.channels)
             covariance = rows.T @ rows / max(len(rows), 1) + np.diag(self._floor**2)
             whiteners.append(np.linalg.inv(np.linalg.cholesky(covariance)))
@@ -386,36 +385,27 @@ class Evidence:
         self._shake(replay, draws, seed)
         return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
 
-    def _filtered_noise(
-        self, names: tuple[str, ...], colour: np.ndarray, cutoff_hz: float, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Noise (n, m, 3) [m] of markers as the filter leaves it, ``colour`` (bands,) as of `noise_colour`."""
-        settings, n = self.settings["ingest"], len(self.trial.time_s)
-        white = rng.standard_normal((n, len(names), 3)) * np.array([self.marker_sd[m] for m in names])
-        if (colour > 1).any():
-            frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
-            louder = np.sqrt(colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
-            white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
-        rate, own = settings["rate_hz"], settings["cutoff_hz"]
-        if cutoff_hz < own:
-            return _from_standing(white, rate, cutoff_hz, self.context.start)
-        return signals.lowpass(white.reshape(n, -1), rate, own, settings["filter_order"]).reshape(white.shape)
-
     def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
         if (seed, i) not in self.draws:
             trial, rng = self.trial, np.random.default_rng([seed, i])
             clean = _rigid_markers(trial)
             r_clean, p_clean = pelvis_frame(*clean)
-            noise = self._filtered_noise(PELVIS_MARKERS, self.colour[0], self.pelvis_cutoff_hz, rng)
+            noise = self._pelvis_noise(rng)
             r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
             turn = np.einsum("nij,nkj->nik", r, r_clean)
             rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-            own = self._filtered_noise(
-                INTERFACE_MARKERS, self.colour[1], self.settings["ingest"]["cutoff_hz"], rng
-            )
+            own = self.noise_model.filtered(INTERFACE_MARKERS, len(trial.time_s), rng)
             self.draws[seed, i] = rotation, position, own
         return self.draws[seed, i]
+
+    def _pelvis_noise(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw noise (n, 4, 3) [m] of the pelvis markers as the filters of the pelvis path leave it."""
+        model, n = self.noise_model, len(self.trial.time_s)
+        rate, cutoff = model.bands.rate_hz, self.pelvis_cutoff_hz
+        if cutoff >= model.bands.cutoff_hz:
+            return model.filtered(PELVIS_MARKERS, n, rng)
+        return _from_standing(model.unfiltered(PELVIS_MARKERS, n, rng), rate, cutoff, self.context.start)
 
     def _shake(self, replay: EffectReplay, draws: int, seed: int) -> None:
         """Give all simulations of a replay but the first a pelvis that was measured with other noise."""
@@ -519,7 +509,7 @@ def load_evidence(
     limits: Path | None,
     robot: Path,
     settings: dict,
-    sd: dict[str, np.ndarray],
+    noise: NoiseModel,
 ) -> Evidence:
     """Evidence of one trial from its canonical tables, not whitened yet.
 
@@ -531,8 +521,8 @@ def load_evidence(
         Joint limits of the person; None lets the strap's joints go anywhere.
     settings
         Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
-    sd
-        Raw noise (3,) [m] of each marker, see `marker_noise`.
+    noise
+        Of the markers, from the neutral trial.
     """
     ident = settings["identification"]
     trial = load_trial(
@@ -545,10 +535,9 @@ def load_evidence(
     trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rate))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     trial, jumped = without_ghosts(trial, rate, ident["settle_after_gap_s"])
-    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
+    trial, cutoff = smoothed_pelvis(trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
-    colour = noise_colour(neutral / "markers.parquet", rate)
-    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
+    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", noise.bands)
     let_go = np.zeros((6, 6))
     if measured is not None:
         trial, let_go = moved_to_first(trial, robot, *at_first(measured, start, rate, log_sd))
@@ -581,12 +570,9 @@ def load_evidence(
     standing = neutral / "pose.parquet"
     held = impedances(settings["robot"], "hold")
     hold = hold_uncertainty(standing, folder / "pose.parquet", start, rate, twin, held)
-    of_poses = rest_uncertainty(standing, rate), hold
-    of_channels = (sd, colour, log_sd, *of_poses)
-    last = let_go, log_offset_sd(folder / "quality.json"), cutoff, skin, jumped
-    return Evidence(
-        trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_channels, *last
-    )
+    of_noise = noise, log_sd, rest_uncertainty(standing, rate), hold, let_go
+    last = log_offset_sd(folder / "quality.json"), cutoff, skin, jumped
+    return Evidence(trial, measured, context, scales, cost, settings, robot, known, {}, q, *of_noise, *last)
 
 
 def _large(values: np.ndarray) -> np.ndarray:

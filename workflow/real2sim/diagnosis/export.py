@@ -20,7 +20,7 @@ from real2sim.files import write_text
 from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import fingerprint, provenance
-from real2sim.recording.noise import marker_noise
+from real2sim.recording.noise import NoiseModel
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
@@ -124,9 +124,9 @@ def export_model(
         ),
     )
     settings = answer["settings"]
-    noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
     evidence = load_evidence(
-        folder=train, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise
+        folder=train, neutral=neutral, limits=limits, robot=robot, settings=settings, noise=noise
     )
     effects, x = effects_of(answer["model"], diagnosis)
     evidence.scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})

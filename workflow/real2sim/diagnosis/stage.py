@@ -45,7 +45,7 @@ from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMI
 from real2sim.inference.noise_floor import block_bootstrap_mean
 from real2sim.inference.parameters import PARAMETERS, Bounds, unit
 from real2sim.provenance import fingerprint, provenance
-from real2sim.recording.noise import marker_noise
+from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
 
 # Share of the floor below which J shows no gap that could be closed
@@ -93,9 +93,9 @@ def prepare(
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     options = settings["diagnosis"]
     folders = (train, held_out)
-    noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    noise = NoiseModel.measure(neutral, settings["ingest"], options["noise"])
     evidence = [
-        load_evidence(folder=f, neutral=neutral, limits=limits, robot=robot, settings=settings, sd=noise)
+        load_evidence(folder=f, neutral=neutral, limits=limits, robot=robot, settings=settings, noise=noise)
         for f in folders
     ]
     for item in evidence:

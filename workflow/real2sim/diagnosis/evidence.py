@@ -25,7 +25,7 @@ from real2sim.effects.catalogue import EFFECTS, Effect, EffectParameter, Placed
 from real2sim.effects.chains import Context, Elsewhere, markers_of
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, interface_frame, pelvis_frame
 from real2sim.inference.cost import CostScales, TrialCost
-from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes, without_ghosts
+from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.skin import Skin, skin_of
 from real2sim.recording.start import at_first, moved_to_first
@@ -43,9 +43,6 @@ from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.effect_replay import EffectReplay, InputBasis
 from real2sim.system.plant import STRAP_JOINTS, JointLimits, impedances, load_robot
 
-# What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
-# plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
-ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
 # How late a log's stamps are beside what they say, SD [s], and how well the size of wheels is known, SD: one number a
 # trial each (systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869)
 LOG_LATENCY_S = 0.001
@@ -86,8 +83,8 @@ class Evidence:
     ``robot`` is what `robot_motion` returns; ``context`` and ``scales`` go to the effects; ``whiteners`` holds per
     band (w, c, c) matrices for c channels and ``noise`` (draws, n, c) the residuals behind them; ``cost`` is J of the
     paper; ``coordinates`` (n, 6) are measured. ``noise_model`` and ``robot_sd`` are the noise of markers and robot log
-    (`NoiseModel`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c)
-    what it does (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
+    (`NoiseModel`, `robot_noise`), ``rest_sd`` that of the rest pose and ``rests`` (6, n, c) what it does
+    (`rest_uncertainty`); ``starts`` (6, n, c) is what a start pose does that is 1 m or rad off.
     ``let_go`` (6, 6) is what one SD of each robot joint at the start does to the start pose (`moved_to_first`)
     and ``skin`` what the pelvis' markers say of each other. ``jumped_s`` is for how long [s] pelvis markers jumped.
     ``hold_sd`` (2, 6) is how far beside the balance a robot at rest may hold and how fast it may move at the start, and
@@ -254,7 +251,9 @@ class Evidence:
         A motion hides jumps that its simulation does not make.
         """
         rate = 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
-        found = spikes(self.trial.interface - paths, rate, SPIKE_RESIDUAL_SD) | self.context.spikes
+        options = self.settings["diagnosis"]["jumps"]
+        rule = JumpRule(rate, self.settings["ingest"]["cutoff_hz"], options)
+        found = spikes(self.trial.interface - paths, rule, options["residual_sd"]) | self.context.spikes
         new = bool((found & ~self.context.spikes).any())
         self.context = replace(self.context, spikes=found)
         return new
@@ -282,7 +281,7 @@ class Evidence:
     @property
     def _floor(self) -> np.ndarray:
         """What each channel is never trusted beyond, (c,)."""
-        return np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
+        return self.noise_model.bands.floor[: self.channels]
 
     def noise_through(
         self,
@@ -312,7 +311,7 @@ class Evidence:
         self._shake(replay, draws, seed)
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
         rng = np.random.default_rng([seed, draws])
-        logged = self.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
+        logged = self.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(self.robot_sd)))
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
         unknown = self._unknown(seed, draws)
         drawn = np.tensordot(rng.standard_normal((draws, len(unknown))), unknown, axes=1)
@@ -403,9 +402,11 @@ class Evidence:
         """Draw noise (n, 4, 3) [m] of the pelvis markers as the filters of the pelvis path leave it."""
         model, n = self.noise_model, len(self.trial.time_s)
         rate, cutoff = model.bands.rate_hz, self.pelvis_cutoff_hz
-        if cutoff >= model.bands.cutoff_hz:
+        if cutoff >= model.bands.low_pass.cutoff_hz:
             return model.filtered(PELVIS_MARKERS, n, rng)
-        return _from_standing(model.unfiltered(PELVIS_MARKERS, n, rng), rate, cutoff, self.context.start)
+        is_filtered = model.bands.is_filtered
+        noise = (model.filtered if is_filtered else model.unfiltered)(PELVIS_MARKERS, n, rng)
+        return _from_standing(noise, rate, cutoff, self.context.start)
 
     def _shake(self, replay: EffectReplay, draws: int, seed: int) -> None:
         """Give all simulations of a replay but the first a pelvis that was measured with other noise."""
@@ -520,7 +521,7 @@ def load_evidence(
     limits
         Joint limits of the person; None lets the strap's joints go anywhere.
     settings
-        Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
+        Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis``; ``plant.timestep_s`` is a number.
     noise
         Of the markers, from the neutral trial.
     """
@@ -531,16 +532,19 @@ def load_evidence(
         start_window_s=ident["start_window_s"],
         settle_s=ident["settle_after_gap_s"],
     )
-    rate = settings["ingest"]["rate_hz"]
-    trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rate))
+    rate, options = settings["ingest"]["rate_hz"], settings["diagnosis"]
+    rule = JumpRule(rate, settings["ingest"]["cutoff_hz"], options["jumps"])
+    trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
-    trial, jumped = without_ghosts(trial, rate, ident["settle_after_gap_s"])
+    trial, jumped = without_ghosts(trial, rule, ident["settle_after_gap_s"])
     trial, cutoff = smoothed_pelvis(trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", noise.bands)
     let_go = np.zeros((6, 6))
     if measured is not None:
-        trial, let_go = moved_to_first(trial, robot, *at_first(measured, start, rate, log_sd))
+        trial, let_go = moved_to_first(
+            trial, robot, *at_first(measured, start, rate, log_sd, options["start"])
+        )
     twin = load_robot(robot).compile()
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
@@ -553,7 +557,7 @@ def load_evidence(
         start,
         float(twin.body_mass.sum()),
         trial.interface,
-        spikes(trial.interface, rate),
+        spikes(trial.interface, rule),
         signals.lowpass(q, rate, cutoff, 4),
         signals.lowpass(qd, rate, cutoff, 4),
         *mean_pelvis(neutral),
@@ -566,7 +570,7 @@ def load_evidence(
     known = None if limits is None else load_limits(limits)
     ones = np.ones(6)
     scales = Scales(_large(q), _large(qd), ones, ones, ones)
-    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape)
+    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape, options["skin"])
     standing = neutral / "pose.parquet"
     held = impedances(settings["robot"], "hold")
     hold = hold_uncertainty(standing, folder / "pose.parquet", start, rate, twin, held)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -65,13 +66,19 @@ _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
 def _time_step(settings: dict, step: Path | None) -> float:
-    """Of the person's step study, of the configuration, or the study's largest candidate."""
+    """Return the time step [s] of the person's step study, of the configuration, or the largest that suits the clock.
+
+    That is the study's largest candidate, or where it does not divide the sample interval, the largest step below it
+    that does.
+    """
     if step is not None:
         return float(read_json(step, ("timestep_s",))["timestep_s"])
     configured = settings["plant"]["timestep_s"]
-    return (
-        float(max(settings["plant"]["study"]["candidates_s"])) if configured == "auto" else float(configured)
-    )
+    if configured != "auto":
+        return float(configured)
+    largest, sample = max(settings["plant"]["study"]["candidates_s"]), 1 / settings["ingest"]["rate_hz"]
+    parts = math.ceil(sample / largest - 1e-9)
+    return float(largest) if math.isclose(parts * largest, sample) else sample / parts
 
 
 def prepare(

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from real2sim import signals
+from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS
 from real2sim.recording.quality.markers import MARKERS, distances, stacked
 from real2sim.recording.tables import interface_path, measured_coordinates
@@ -31,27 +32,60 @@ _COMPONENT_FREEDOM = 3
 
 
 @dataclass(frozen=True)
+class LowPass:
+    """The zero-phase Butterworth low-pass of the ingest (`signals.lowpass`) at the rate of the common clock."""
+
+    rate_hz: float
+    cutoff_hz: float
+    order: int
+
+    @property
+    def _corner(self) -> float:
+        """Corner of either pass in the prewarped frequency."""
+        warped = np.tan(np.pi * self.cutoff_hz / self.rate_hz)
+        return float(warped * (np.sqrt(2) - 1) ** (-1 / self.order))
+
+    def power(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the share of the power (f,) that both passes leave at frequencies (f,) [Hz]."""
+        if self.cutoff_hz >= self.rate_hz / 2:
+            return np.ones(len(frequency))
+        ratio = np.tan(np.pi * np.minimum(frequency / self.rate_hz, 0.4999)) / self._corner
+        return np.asarray((1 + ratio**self.order) ** -2.0)
+
+    def passes_up_to(self, share: float) -> float:
+        """Return the frequency [Hz] up to which a share of the power passes."""
+        if self.cutoff_hz >= self.rate_hz / 2:
+            return self.rate_hz / 2
+        warped = self._corner * (share**-0.5 - 1) ** (1 / self.order)
+        return float(np.arctan(warped) * self.rate_hz / np.pi)
+
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """Return series (n, ...) as the filter leaves them."""
+        flat = values.reshape(len(values), -1)
+        return signals.lowpass(flat, self.rate_hz, self.cutoff_hz, self.order).reshape(values.shape)
+
+
+@dataclass(frozen=True)
 class Bands:
     """Frequencies in which the noise of a recording is measured and its residuals are whitened.
 
     Attributes
     ----------
-    rate_hz, cutoff_hz, filter_order
-        Of the common clock and of the low-pass that the ingest applies to markers (slice ``ingest``).
+    low_pass
+        The filter that the ingest applies to markers.
     standing_hz, log_standing_hz
         Band (low, high) in which quiet standing shows the white noise of markers, and of the robot log.
     log_moving_hz
         Bands in which a moving person hardly moves the robot: the quieter one shows the noise of its log.
     edges_hz
         Edges, from 0, of the bands within which the noise is whitened as equally loud; the last one is the highest
-        frequency of a residual that counts.
+        frequency of a residual that counts. None is where the low-pass leaves little: what is divided by almost nothing
+        is no information.
     options
         Slice ``diagnosis.noise`` of the configuration.
     """
 
-    rate_hz: float
-    cutoff_hz: float
-    filter_order: int
+    low_pass: LowPass
     standing_hz: tuple[float, float]
     log_standing_hz: tuple[float, float]
     log_moving_hz: tuple[tuple[float, float], ...]
@@ -60,13 +94,58 @@ class Bands:
 
     @classmethod
     def from_settings(cls, ingest: dict, options: dict) -> Bands:
-        """Return the bands for the slices ``ingest`` and ``diagnosis.noise`` of the configuration."""
-        low, high = options["standing_hz"]
-        moving = tuple((float(a), float(b)) for a, b in options["log_moving_hz"])
-        edges = (0.0, *map(float, options["edges_hz"]))
-        standing = (float(low), float(high))
-        rate, cutoff = float(ingest["rate_hz"]), float(ingest["cutoff_hz"])
-        return cls(rate, cutoff, ingest["filter_order"], standing, standing, moving, edges, options)
+        """Return the bands for the slices ``ingest`` and ``diagnosis.noise`` of the configuration.
+
+        Raises InputError where cut-off and rate leave none.
+        """
+        low_pass = LowPass(float(ingest["rate_hz"]), float(ingest["cutoff_hz"]), ingest["filter_order"])
+        fastest = low_pass.rate_hz / options["samples_per_period"]
+        low, high = map(float, options["standing_hz"])
+        *inner, last = map(float, options["edges_hz"])
+        last = min(last, low_pass.cutoff_hz / options["cutoff_margin"])
+        bands = cls(
+            low_pass,
+            (low, min(high, low_pass.passes_up_to(options["least_passed"]))),
+            (low, min(high, fastest)),
+            tuple((float(a), float(b)) for a, b in options["log_moving_hz"] if b <= fastest),
+            (0.0, *(edge for edge in inner if last >= options["narrowest_band"] * edge), last),
+            options,
+        )
+        _check_rate(bands)
+        _check_cutoff(bands)
+        return bands
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the common clock [Hz]."""
+        return self.low_pass.rate_hz
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the share of the power (f,) of noise that the low-pass leaves at frequencies (f,) [Hz].
+
+        Where that is at least the option ``passes``, the filter is taken as passing all.
+        """
+        share = self.low_pass.power(frequency)
+        return np.where(share >= self.options["passes"], 1.0, share)
+
+    @property
+    def is_filtered(self) -> bool:
+        """Whether the low-pass takes a part of the noise where it is measured."""
+        return bool((self.response(np.array(self.standing_hz)) < 1).any())
+
+    @property
+    def floor(self) -> np.ndarray:
+        """Least SD (12,) of the markers' [m] and the robot log's channels [m, rad], at the rate of the clock.
+
+        Scaled so that the power per hertz is the same at any rate.
+        """
+        options = self.options
+        floor = np.concatenate([np.full(6, options["marker_floor_m"]), options["robot_floor"]])
+        return np.asarray(floor * np.sqrt(self.rate_hz / options["floor_rate_hz"]))
+
+    def freedom(self, duration_s: float) -> float:
+        """Return the degrees of freedom of a variance that the markers of so long a trial show while standing."""
+        return 2 * duration_s * (self.standing_hz[1] - self.standing_hz[0])
 
     def coefficients(self, samples: int, duration_s: float) -> int:
         """Return how many cosine coefficients of a residual count."""
@@ -76,15 +155,21 @@ class Bands:
         """Return the index of the band of each frequency [Hz]; what is above the last edge belongs to the last band."""
         return np.searchsorted(self.edges_hz[1:-1], frequency, side="right")
 
-    def white_variance(self, series: np.ndarray, band_hz: tuple[float, float]) -> np.ndarray:
+    def white_variance(
+        self, series: np.ndarray, band_hz: tuple[float, float], *, filtered: bool
+    ) -> np.ndarray:
         """Return the variance (k,) of white noise that has the power of a series (n, k) within a band.
 
-        Welch's windows keep what is slower from leaking upward.
+        With ``filtered``, of the white noise before the low-pass of the ingest. Welch's windows keep what is slower
+        from leaking upward.
         """
         window = min(len(series), round(self.options["window_s"] * self.rate_hz))
         frequency, power = welch(series, self.rate_hz, nperseg=window, axis=0, detrend="linear")
         inside = (frequency > band_hz[0]) & (frequency < band_hz[1])
-        return np.asarray(power[inside].mean(axis=0) * self.rate_hz / 2)
+        power = power[inside]
+        if filtered:
+            power = power / self.response(frequency[inside])[:, None]
+        return np.asarray(power.mean(axis=0) * self.rate_hz / 2)
 
 
 @dataclass(frozen=True)
@@ -107,14 +192,12 @@ class NoiseModel:
         ``ingest`` and ``options`` are the slices ``ingest`` and ``diagnosis.noise`` of the configuration.
         """
         bands, markers = Bands.from_settings(ingest, options), neutral / "markers.parquet"
+        _check_length(markers, bands)
         return cls(bands, marker_noise(markers, bands), noise_colour(markers, bands))
 
     def filtered(self, names: tuple[str, ...], samples: int, rng: np.random.Generator) -> np.ndarray:
         """Draw noise (n, m, 3) [m] of markers of one body as the low-pass of the ingest leaves it."""
-        white = self.unfiltered(names, samples, rng)
-        bands, flat = self.bands, white.reshape(samples, -1)
-        smooth = signals.lowpass(flat, bands.rate_hz, bands.cutoff_hz, bands.filter_order)
-        return smooth.reshape(white.shape)
+        return self.bands.low_pass.apply(self.unfiltered(names, samples, rng))
 
     def unfiltered(self, names: tuple[str, ...], samples: int, rng: np.random.Generator) -> np.ndarray:
         """Draw noise (n, m, 3) [m] of markers of one body as the cameras make it."""
@@ -127,6 +210,50 @@ class NoiseModel:
         return white
 
 
+def _check_rate(bands: Bands) -> None:
+    """Refuse a common clock that is too slow for the cut-off."""
+    rate, cutoff, least = bands.rate_hz, bands.low_pass.cutoff_hz, bands.options["samples_per_period"]
+    if rate < least * cutoff:
+        raise InputError(
+            "config/config.yaml",
+            "key ingest.rate_hz",
+            f"a common clock of {rate:g} Hz for a cut-off of {cutoff:g} Hz (ingest.cutoff_hz)",
+            f"at least {least:g} samples in a period of the cut-off",
+            f"Raise ingest.rate_hz to {cutoff * least:g} Hz, or lower the cut-off.",
+            "noise_rate",
+        )
+
+
+def _check_cutoff(bands: Bands) -> None:
+    """Refuse a cut-off below which hardly more than the motion itself is left."""
+    cutoff, least = bands.low_pass.cutoff_hz, bands.options["least_highest_hz"]
+    if bands.edges_hz[-1] < least:
+        raise InputError(
+            "config/config.yaml",
+            "key ingest.cutoff_hz",
+            f"{cutoff:g} Hz, so that residuals count up to {bands.edges_hz[-1]:.3g} Hz alone",
+            f"at least {least * bands.options['cutoff_margin']:g} Hz, so that they count up to {least:g} Hz",
+            "Raise ingest.cutoff_hz.",
+            "noise_cutoff",
+        )
+
+
+def _check_length(markers: Path, bands: Bands) -> None:
+    """Refuse a neutral trial that is too short to measure the noise of its markers."""
+    duration, least = pq.read_metadata(markers).num_rows / bands.rate_hz, bands.options["least_freedom"]
+    if bands.freedom(duration) < least:
+        low, high = bands.standing_hz
+        raise InputError(
+            markers,
+            "",
+            f"{duration:.1f} s of quiet standing, whose noise is read between {low:g} and {high:.3g} Hz at a cut-off of"
+            f" {bands.low_pass.cutoff_hz:g} Hz (ingest.cutoff_hz)",
+            f"at least {least / bands.freedom(1.0):.1f} s",
+            "Record neutral for longer, or raise ingest.cutoff_hz.",
+            "noise_neutral",
+        )
+
+
 def marker_noise(markers: Path, bands: Bands) -> dict[str, np.ndarray]:
     """Return the SD (3,) [m] per marker of the white noise that quiet standing shows in ``bands.standing_hz``.
 
@@ -135,13 +262,13 @@ def marker_noise(markers: Path, bands: Bands) -> dict[str, np.ndarray]:
     """
     table = pq.read_table(markers)
     names = (*PELVIS_MARKERS, *INTERFACE_MARKERS)
-    smallest, (low, high) = bands.options["smallest_m"], bands.standing_hz
+    smallest = bands.options["smallest_m"]
     variance = np.empty((len(names), 3))
     for i, name in enumerate(names):
         path = signals.bridged(np.column_stack([table[f"{name}_{c}"].to_numpy() for c in "xyz"]))
-        variance[i] = np.maximum(bands.white_variance(path, bands.standing_hz), smallest**2)
-    duration = len(table) / bands.rate_hz
-    known = drawn_together(variance, 2 * duration * (high - low))
+        seen = bands.white_variance(path, bands.standing_hz, filtered=True)
+        variance[i] = np.maximum(seen, smallest**2)
+    known = drawn_together(variance, bands.freedom(len(table) / bands.rate_hz))
     return {name: np.sqrt(row) for name, row in zip(names, known, strict=True)}
 
 
@@ -234,9 +361,10 @@ class _SlowSearch:
         """Return the likeliest slow noise of spectra (f, k) that each have a level of their own."""
         every = list(product(_SLOW_POWERS, _SLOW_CORNERS_HZ, _SLOW_FALLS))
         frequency = self.frequency[self.heard]
+        passed = self.bands.response(frequency)
 
         def deviance(components: Sequence[_Component]) -> float:
-            shape = _shape(components, frequency)[:, None]
+            shape = (_shape(components, frequency) * passed)[:, None]
             return float(len(shape) * np.log(np.mean(power / shape, axis=0)).sum()) + float(
                 power.shape[1] * np.log(shape).sum()
             )
@@ -305,13 +433,15 @@ def robot_noise(neutral: Path, trial: Path, bands: Bands) -> np.ndarray:
     wheels that stand. Both are robot.parquet.
     """
     variance, freedom = np.zeros(len(ROBOT_JOINTS)), 0.0
-    for path, own_bands in ((neutral, [bands.log_standing_hz]), (trial, bands.log_moving_hz)):
+    for path, own_bands in ((neutral, (bands.log_standing_hz,)), (trial, bands.log_moving_hz)):
+        if not own_bands:
+            continue
         table = pq.read_table(path)
         columns = np.column_stack([table[name].to_numpy() for name in ROBOT_JOINTS])
         if np.isfinite(columns).all(axis=1).mean() < 0.5:
             continue
         path_at = signals.bridged(columns)
-        own = np.min([bands.white_variance(path_at, band) for band in own_bands], axis=0)
+        own = np.min([bands.white_variance(path_at, band, filtered=False) for band in own_bands], axis=0)
         own_freedom = 2 * len(table) / bands.rate_hz * (own_bands[0][1] - own_bands[0][0])
         chance = (
             f_distribution.ppf(bands.options["louder_certainty"], own_freedom, freedom) if freedom else 0.0

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 from real2sim import signals
+from real2sim.configuration import validated
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
-from real2sim.recording.jumps import SPIKE_RESIDUAL_SD, ghosts, spikes, without_ghosts
+from real2sim.recording.jumps import JumpRule, ghosts, spikes, without_ghosts
 from real2sim.signals import lowpass
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +18,9 @@ from tests.unit.simulated_effects import PELVIS_SHAPE, placed_whole, replay
 from tests.unit.test_coupling import PRIOR
 
 RATE, SETTLE_S = 100.0, 0.5
+OPTIONS = validated({}, "config", Path("defaults"))["diagnosis"]["jumps"]
+RULE = JumpRule(RATE, 12.0, OPTIONS)
+RESIDUAL_SD = OPTIONS["residual_sd"]
 TIME = np.arange(1200) / RATE
 SHAPE = PELVIS_SHAPE - pelvis_frame(*PELVIS_SHAPE)[1]
 
@@ -52,9 +57,9 @@ def seen(markers: np.ndarray) -> Seen:
 
 def test_a_body_that_moves_and_skin_that_slides_are_no_jumps():
     for seed in range(20):
-        assert not ghosts(filtered(body(), seed), RATE).any()
+        assert not ghosts(filtered(body(), seed), RULE).any()
     trial = seen(filtered(body()))
-    same, jumped = without_ghosts(trial, RATE, SETTLE_S)
+    same, jumped = without_ghosts(trial, RULE, SETTLE_S)
     assert same is trial
     assert jumped == {}
 
@@ -66,12 +71,12 @@ def test_a_ghost_is_put_where_its_marker_was_to_the_others(marker, axis):
     jumped = body()
     jumped[300:304, marker, axis] += 0.015
     clean, trial = seen(filtered(body())), seen(filtered(jumped))
-    found = ghosts(trial.pelvis_markers, RATE)
+    found = ghosts(trial.pelvis_markers, RULE)
     assert found[300:304, marker].all()
     assert not np.delete(found, marker, axis=1).any()
     assert not found[:280].any()
     assert not found[330:].any()
-    mended, jumped = without_ghosts(trial, RATE, SETTLE_S)
+    mended, jumped = without_ghosts(trial, RULE, SETTLE_S)
     assert list(jumped) == [PELVIS_MARKERS[marker]]
     assert 0.2 < jumped[PELVIS_MARKERS[marker]] < 0.5
     # noise of the three that are left; a PSIS that jumps forward turns nothing
@@ -85,7 +90,7 @@ def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
     jumped = body()
     jumped[500:503, 0] += 0.02
     jumped[502:505, 3] -= 0.02
-    mended, lasts = without_ghosts(seen(filtered(jumped)), RATE, SETTLE_S)
+    mended, lasts = without_ghosts(seen(filtered(jumped)), RULE, SETTLE_S)
     # two at once make the others doubtful too
     assert {"ASIS_L", "PSIS_R"} <= set(lasts)
     lost = ~np.isfinite(mended.pelvis_position).all(axis=1)
@@ -100,17 +105,17 @@ def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
 def test_a_jump_shows_in_what_a_fit_leaves_though_the_motion_hides_it():
     rng = np.random.default_rng(3)
     noise = lowpass(2e-3 * rng.standard_normal((1200, 6)), 100, 10.0, 4).reshape(1200, 2, 3)
-    assert not spikes(noise, 100, SPIKE_RESIDUAL_SD).any()
+    assert not spikes(noise, RULE, RESIDUAL_SD).any()
     jump = np.zeros((1200, 6))
     jump[600, 2] = 0.03
     jump = lowpass(jump, 100, 10.0, 4).reshape(1200, 2, 3)
-    found = spikes(noise + jump, 100, SPIKE_RESIDUAL_SD)
+    found = spikes(noise + jump, RULE, RESIDUAL_SD)
     assert found[600, 0]
     assert not found[:580].any()
     assert not found[:, 1].any()
     t = np.arange(1200) / 100
     motion = 0.01 * np.sin(2 * np.pi * 5 * t)[:, None, None] * np.ones((1, 2, 3))
-    assert not spikes(motion + noise + jump, 100).any()
+    assert not spikes(motion + noise + jump, RULE).any()
 
 
 def test_noise_of_a_path_that_begins_or_ends_is_no_jump():
@@ -122,9 +127,9 @@ def test_noise_of_a_path_that_begins_or_ends_is_no_jump():
     # as loud again as anywhere else
     for first in (0, 579, 620, 1199):
         noise[first] = 2e-3
-    assert not spikes(noise.reshape(1200, 2, 3), 100, SPIKE_RESIDUAL_SD).any()
+    assert not spikes(noise.reshape(1200, 2, 3), RULE, RESIDUAL_SD).any()
     noise[300] = 2e-3
-    assert spikes(noise.reshape(1200, 2, 3), 100, SPIKE_RESIDUAL_SD)[300].all()
+    assert spikes(noise.reshape(1200, 2, 3), RULE, RESIDUAL_SD)[300].all()
 
 
 def test_a_gap_beside_a_jump_stays_what_was_simulated():

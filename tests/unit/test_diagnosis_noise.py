@@ -10,13 +10,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from real2sim.configuration import validated
 from real2sim.geometry import AXES
-from real2sim.recording.noise import BANDS_HZ, drawn_together, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.noise import Bands, drawn_together, noise_colour, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import lowpass_from_standing
 from real2sim.signals import lowpass
 from real2sim.study.strap_evidence import Elsewheres, StrapEvidence
 from real2sim.system.plant import ROBOT_JOINTS
 from scipy.signal import butter, lfilter, sosfiltfilt
+
+STUDY = validated({}, "config", Path("defaults"))
+BANDS = Bands.from_settings(STUDY["ingest"], STUDY["diagnosis"]["noise"])
 
 
 def test_noise_of_markers_that_are_alike_is_drawn_together_and_of_unlike_ones_is_not():
@@ -82,9 +86,9 @@ def test_noise_of_the_robots_log_is_what_it_shows_while_all_stand(tmp_path):
     motion = np.sin(2 * np.pi * 0.5 * np.arange(1500) / 100)[:, None]
     moved = _log(tmp_path / "moved.parquet", 0.1 * motion + sd * rng.standard_normal((1500, 6)))
     none = _log(tmp_path / "none.parquet", np.full((800, 6), np.nan))
-    np.testing.assert_allclose(robot_noise(still, none, 100), sd, rtol=0.25)
-    np.testing.assert_allclose(robot_noise(none, moved, 100), sd, rtol=0.25)
-    assert not robot_noise(none, none, 100).any()
+    np.testing.assert_allclose(robot_noise(still, none, BANDS), sd, rtol=0.25)
+    np.testing.assert_allclose(robot_noise(none, moved, BANDS), sd, rtol=0.25)
+    assert not robot_noise(none, none, BANDS).any()
 
 
 def test_wheels_that_turn_may_be_read_worse_than_wheels_that_stand(tmp_path):
@@ -95,11 +99,11 @@ def test_wheels_that_turn_may_be_read_worse_than_wheels_that_stand(tmp_path):
     motion = np.sin(2 * np.pi * 0.5 * np.arange(1500) / 100)[:, None]
     louder = np.array([2.0, 1.0, 1.0, 1.0, 2.0, 1.0])
     moved = _log(tmp_path / "moved.parquet", 0.1 * motion + louder * sd * rng.standard_normal((1500, 6)))
-    np.testing.assert_allclose(robot_noise(still, moved, 100), louder * sd, rtol=0.25)
+    np.testing.assert_allclose(robot_noise(still, moved, BANDS), louder * sd, rtol=0.25)
     # what shakes at 8 Hz alone is motion
     shaking = 1e-3 * np.sin(2 * np.pi * 8 * np.arange(1500) / 100)[:, None]
     shaken = _log(tmp_path / "shaken.parquet", shaking + sd * rng.standard_normal((1500, 6)))
-    np.testing.assert_allclose(robot_noise(still, shaken, 100), sd, rtol=0.25)
+    np.testing.assert_allclose(robot_noise(still, shaken, BANDS), sd, rtol=0.25)
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,10 @@ def _logged(log: np.ndarray, offset_sd_s: float = 0.0, rests: np.ndarray | None 
     n = len(log)
     trial = SimpleNamespace(time_s=np.arange(n) / 100, interface=np.zeros((n, 2, 3)), usable=np.ones(n, bool))
     recorded = SimpleNamespace(trial=trial, robot=log, context=SimpleNamespace(start=50))
-    levels = SimpleNamespace(robot_sd=np.full(6, 1e-3), let_go=np.zeros((6, 6)), log_offset_sd_s=offset_sd_s)
+    model = SimpleNamespace(bands=BANDS)
+    levels = SimpleNamespace(
+        noise_model=model, robot_sd=np.full(6, 1e-3), let_go=np.zeros((6, 6)), log_offset_sd_s=offset_sd_s
+    )
     given = np.zeros((0, n, 12)) if rests is None else rests
     return _Logged(recorded, levels, None, None, given=given).with_noise(np.ones(12), 31, 1)
 
@@ -210,7 +217,7 @@ def _standing(
         marker += lfilter([np.sqrt(1 - keep**2)], [1, -keep], drive, axis=0)
         columns |= {f"{name}_{c}": np.nan * n if name == lost else marker[:, i] for i, c in enumerate("xyz")}
     pq.write_table(pa.table({k: np.broadcast_to(v, n) for k, v in columns.items()}), path)
-    return noise_colour(path, rate)
+    return noise_colour(path, BANDS)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -221,7 +228,7 @@ def test_markers_whose_noise_is_slow_are_told_from_white_ones_by_the_bodies_they
     slow = _standing(path, dict.fromkeys(_BODIES, 1.5e-4), seed)
     # 2 x 0.35 s / 0.01 s of the share of the variance
     louder = 1 + 2 * 35 * 0.25
-    assert slow.shape == (2, len(BANDS_HZ) - 1)
+    assert slow.shape == (2, len(BANDS.edges_hz) - 1)
     assert np.all(np.diff(slow) <= 0)
     np.testing.assert_allclose(slow[:, -1], 1)
     np.testing.assert_allclose(slow[0], slow[1])
@@ -240,7 +247,7 @@ def test_noise_that_falls_steeply_is_seen_up_to_where_it_falls(tmp_path):
             marker += level * slow / slow.std(axis=0)
         columns |= {f"{name}_{c}": marker[:, i] for i, c in enumerate("xyz")}
     pq.write_table(pa.table(columns), path)
-    colour = noise_colour(path, rate)[0]
+    colour = noise_colour(path, BANDS)[0]
     # power per hertz against that of the white noise
     plateau, floor = 3e-4**2 / 2.0, 1.5e-4**2 / (rate / 2)
     assert 0.3 < colour[3] / (plateau / floor) < 3

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from real2sim.configuration import validated
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from real2sim.recording.skin import skin_of
@@ -14,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from tests.unit.simulated_effects import PELVIS_SHAPE
 
 RATE, SD = 100.0, 5e-4
+OPTIONS = validated({}, "config", Path("defaults"))["diagnosis"]["skin"]
 TIME = np.arange(1200) / RATE
 SHAPE = PELVIS_SHAPE - pelvis_frame(*PELVIS_SHAPE)[1]
 SHAPE = SHAPE @ pelvis_frame(*SHAPE)[0]
@@ -37,7 +40,7 @@ def seen(rng: np.random.Generator, slides: np.ndarray | float = 0.0) -> np.ndarr
 
 def test_what_a_rigid_body_does_moves_no_marker_against_another():
     rng = np.random.default_rng(0)
-    found = np.array([skin_of(TIME, seen(rng), SHAPE).seen for _ in range(60)])
+    found = np.array([skin_of(TIME, seen(rng), SHAPE, OPTIONS).seen for _ in range(60)])
     assert found.shape == (60, 12)
     # the sample SD of nine degrees of freedom, drawn up to the mean of all six, makes them a little smaller than one
     assert 0.8 < found.std() < 1.1
@@ -51,7 +54,7 @@ def test_a_marker_that_is_said_to_slide_is_contradicted_where_it_does_not(marker
     rate = np.zeros(6)
     rate[axis] = 2e-3 / TIME[-1]
     slides = ways(marker, *rate)
-    still, slid = skin_of(TIME, seen(rng), SHAPE), skin_of(TIME, seen(rng, slides), SHAPE)
+    still, slid = skin_of(TIME, seen(rng), SHAPE, OPTIONS), skin_of(TIME, seen(rng, slides), SHAPE, OPTIONS)
     assert still.against_it(slides) > 30
     assert slid.against_it(slides) == 0
     assert slid.against_it(-slides) > 100
@@ -60,7 +63,7 @@ def test_a_marker_that_is_said_to_slide_is_contradicted_where_it_does_not(marker
 def test_a_slide_that_was_seen_speaks_for_no_cause():
     rng = np.random.default_rng(2)
     slides = ways("PSIS_L", 0, 0, 2e-4, 0, 0, 4e-4)
-    skin = skin_of(TIME, seen(rng, slides), SHAPE)
+    skin = skin_of(TIME, seen(rng, slides), SHAPE, OPTIONS)
     assert np.sum(skin.departures(slides) ** 2) < 30 < np.sum(skin.seen**2)
     assert skin.against_it(0 * slides) == 0
     assert skin.against_it(slides) == 0
@@ -70,6 +73,6 @@ def test_gaps_are_left_out_and_too_little_says_nothing():
     rng = np.random.default_rng(3)
     markers, slides = seen(rng), ways("ASIS_L", 3e-4, 0, 0, 0, 0, 0)
     markers[300:480, 2] = np.nan
-    assert skin_of(TIME, markers, SHAPE).against_it(slides) > 100
+    assert skin_of(TIME, markers, SHAPE, OPTIONS).against_it(slides) > 100
     markers[400:, 1] = np.nan
-    assert skin_of(TIME, markers, SHAPE) is None
+    assert skin_of(TIME, markers, SHAPE, OPTIONS) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -10,11 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from real2sim.configuration import validated
 from real2sim.diagnosis.answer import _stages
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
 from real2sim.effects.friction import SmoothFriction
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
-from real2sim.recording.start import FIRST_S, at_first, moved_to_first
+from real2sim.recording.jumps import JumpRule
+from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import without_filled
 from real2sim.system.plant import STRAP_JOINTS, RestPose, interface_pose_at, load_robot, robot_pose_for
 from scipy.signal import lsim
@@ -24,6 +27,8 @@ from tests.unit.simulated_effects import LEVEL, PELVIS_SHAPE, SCALES, STRAP, rep
 from tests.unit.test_coupling import PRIOR, REST, ROBOT
 
 RATE, START = 100.0, 50
+STUDY = validated({}, "config", Path("defaults"))
+OPTIONS, JUMPS = STUDY["diagnosis"]["start"], STUDY["diagnosis"]["jumps"]
 TWIN = load_robot(ROBOT).compile()
 
 
@@ -61,7 +66,7 @@ def test_a_robot_that_is_pulled_starts_where_its_log_first_saw_it():
     """7 N on 100 kg move it by 9 mm within the half second whose mean would be its start."""
     rng = np.random.default_rng(0)
     sd = np.full(6, 1e-4)
-    found = [at_first(log(0.07, 1e-4, rng), START, RATE, sd) for _ in range(200)]
+    found = [at_first(log(0.07, 1e-4, rng), START, RATE, sd, OPTIONS) for _ in range(200)]
     shift, spread = (np.array(part) for part in zip(*found, strict=True))
     t = np.arange(START) / RATE
     true = -0.07 * np.mean(t**2) / 2
@@ -74,15 +79,15 @@ def test_a_robot_that_is_pulled_starts_where_its_log_first_saw_it():
 def test_a_robot_that_stands_starts_at_its_mean():
     rng = np.random.default_rng(1)
     for _ in range(100):
-        shift, spread = at_first(log(0.0, 1e-4, rng), START, RATE, np.full(6, 1e-4))
+        shift, spread = at_first(log(0.0, 1e-4, rng), START, RATE, np.full(6, 1e-4), OPTIONS)
         assert not shift.any()
         assert not spread.any()
 
 
 def test_a_log_that_begins_late_moves_nothing():
     joints = log(0.07, 0.0, np.random.default_rng(0))
-    joints[: round(FIRST_S * RATE)] = np.nan
-    shift, _ = at_first(joints, START, RATE, np.zeros(6))
+    joints[: round(OPTIONS["first_s"] * RATE)] = np.nan
+    shift, _ = at_first(joints, START, RATE, np.zeros(6), OPTIONS)
     assert not shift.any()
 
 
@@ -284,7 +289,7 @@ def test_what_fills_a_gap_is_no_measurement(tmp_path):
     columns = {f"{m}_filled": np.zeros(n, bool) for m in INTERFACE_MARKERS}
     columns[f"{INTERFACE_MARKERS[1]}_filled"][40:50] = True
     pq.write_table(pa.table(columns), tmp_path / "markers.parquet")
-    seen = without_filled(np.ones((n, 2, 3)), tmp_path / "markers.parquet", RATE)
+    seen = without_filled(np.ones((n, 2, 3)), tmp_path / "markers.parquet", JumpRule(RATE, 12.0, JUMPS))
     assert np.isfinite(seen[:, 0]).all()
     lost = np.flatnonzero(np.isnan(seen[:, 1, 0]))
     # five hundredths of a second beyond both ends

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from real2sim.configuration import validated
 from real2sim.recording.ingest import ingest_subject
-from real2sim.recording.noise import robot_noise
+from real2sim.recording.noise import Bands, robot_noise
 from real2sim.verification.phantom import tasks
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import Person
@@ -495,7 +495,7 @@ def test_the_robots_log_is_as_noisy_as_the_truth_says(written, tmp_path):
         log = tmp_path / case["id"] / "neutral" / "robot.parquet"
         truth = case["log_noise"]
         expected = [truth["m"], truth["m"], truth["rad"], truth["m"], truth["rad"], truth["rad"]]
-        found = robot_noise(log, log, study["ingest"]["rate_hz"])
+        found = robot_noise(log, log, Bands.from_settings(study["ingest"], study["diagnosis"]["noise"]))
         # some seconds tell a variance to a quarter, and an arm that swings is no noise
         assert np.median(found / np.hypot(expected, 1e-5 / np.sqrt(12))) == pytest.approx(1, rel=0.25)
     assert len({case["log_noise"]["m"] for case in cases}) == len(cases)

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-# Samples on either side of a gap that the cubic is fitted to: two determine it, four halve the effect of
-# noise.
-_SUPPORT = 4
+# What the cubic across a gap is fitted to on either side: two samples determine it, four halve the effect of noise, and
+# at high rates four samples are so short a time that their noise swings the cubic far out between them [s].
+_SUPPORT, _SUPPORT_S = 4, 0.04
 
 
 def segments(good: np.ndarray) -> list[slice]:
@@ -28,17 +28,19 @@ def known(values: np.ndarray) -> np.ndarray:
 def fill_gaps(values: np.ndarray, rate_hz: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Fill gaps of at most ``max_gap_s`` by a cubic; returns the signal and where it was filled (n,).
 
-    The cubic is fitted to four samples on either side (two at least). Longer gaps and both ends stay NaN.
+    The cubic is fitted to 40 ms and at least four samples on either side, or to as many as there are (two at least).
+    Longer gaps and both ends stay NaN.
     """
     out, good = values.copy(), known(values)
     out[~good] = np.nan
     filled = np.zeros(len(values), bool)
     runs = segments(good)
+    support_samples = max(_SUPPORT, round(_SUPPORT_S * rate_hz))
     longest = int(np.floor(max_gap_s * rate_hz + 1e-6))
     for before, after in pairwise(runs):
         gap = slice(before.stop, after.start)
-        left = np.arange(max(before.start, before.stop - _SUPPORT), before.stop)
-        right = np.arange(after.start, min(after.stop, after.start + _SUPPORT))
+        left = np.arange(max(before.start, before.stop - support_samples), before.stop)
+        right = np.arange(after.start, min(after.stop, after.start + support_samples))
         if gap.stop - gap.start > longest or min(len(left), len(right)) < 2:
             continue
         support, missing = np.concatenate([left, right]), np.arange(gap.start, gap.stop)

@@ -55,6 +55,7 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
     """Markers by our names in the world frame, gated."""
     recording = read_markers(trial.tsv)
     trial.findings.extend(recording.findings)
+    _check_rate(trial, recording.rate_hz)
     positions: dict[str, np.ndarray] = {}
     for lab, values in recording.positions.items():
         ours = marker_names.get(lab, lab)
@@ -109,6 +110,16 @@ def lab_to_world(axes: dict[str, str]) -> np.ndarray:
             "config/config.yaml", "key ingest.lab_to_world", str(axes), expected, remedy, "lab_axes"
         )
     return rotation
+
+
+def _check_rate(trial: _Trial, rate_hz: float) -> None:
+    """Refuse markers whose rate is too low for the low-pass, which would then leave all noise in them."""
+    cutoff = trial.settings["cutoff_hz"]
+    if cutoff >= rate_hz / 2:
+        found = f"markers at {rate_hz:g} Hz, which no low-pass at {cutoff:g} Hz (ingest.cutoff_hz) can filter"
+        remedy = "Export at the rate of the cameras, or lower ingest.cutoff_hz."
+        expected = f"more than {2 * cutoff:g} Hz"
+        raise InputError(trial.tsv, "", found, expected, remedy, "rate_below_cutoff")
 
 
 def _check_extent(trial: _Trial, positions: dict[str, np.ndarray]) -> None:

@@ -14,11 +14,6 @@ import numpy as np
 from real2sim.effects.markers import slides
 from real2sim.geometry import pelvis_frame
 
-# Spans whose means are taken as independent of each other, and how many a trend needs [s]
-SPAN_S, FEWEST_SPANS = 1.0, 6
-# No span is known better than this [m]
-SMALLEST_SD_M = 2e-5
-
 
 @dataclass(frozen=True)
 class Skin:
@@ -47,16 +42,16 @@ class Skin:
         return max(float(off @ off - self.seen @ self.seen), 0.0)
 
 
-def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> Skin | None:
-    """What pelvis markers (n, 4, 3) [m, world] say, given where they are on the pelvis, ``shape`` (4, 3) [m].
+def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options: dict) -> Skin | None:
+    """Return what pelvis markers (n, 4, 3) [m, world] say, given where they are on the pelvis, ``shape`` (4, 3) [m].
 
-    None where too little of the trial shows all four.
+    ``options`` is the slice ``diagnosis.skin`` of the configuration. None where too little of the trial shows all four.
     """
     seen = np.isfinite(markers).all(axis=(1, 2))
-    span = np.floor((time_s - time_s[0]) / SPAN_S).astype(int)
+    span = np.floor((time_s - time_s[0]) / options["span_s"]).astype(int)
     spans = np.array([(span == i) & seen for i in range(span[-1] + 1)], dtype=float)
     spans = spans[spans.sum(axis=1) >= 0.5 * np.bincount(span)]
-    if len(spans) < FEWEST_SPANS:
+    if len(spans) < options["fewest_spans"]:
         return None
     spans /= spans.sum(axis=1, keepdims=True)
     rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
@@ -70,7 +65,7 @@ def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> Skin 
     left = means - laws @ (fit @ means)
     variance = np.sum(left**2, axis=0) / (len(spans) - laws.shape[1])
     # one number's scatter over a few spans may be small by chance
-    sd = np.sqrt(np.maximum(np.maximum(variance, variance.mean()), SMALLEST_SD_M**2))
+    sd = np.sqrt(np.maximum(np.maximum(variance, variance.mean()), options["smallest_sd_m"] ** 2))
     whiten = np.linalg.inv(np.linalg.cholesky(normal[1:, 1:]))
     slow = whiten @ fit[1:]
     return Skin(spans, against, slow, 1 / sd, (slow @ means / sd).ravel())

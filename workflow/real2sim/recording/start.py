@@ -15,28 +15,27 @@ from scipy.spatial.transform import Rotation
 from real2sim.recording.trial import Trial
 from real2sim.system.plant import interface_pose_at, load_robot, robot_pose_for
 
-# First moments of the log that tell the start: a robot that starts from rest has hardly moved
-FIRST_S = 0.06
-# A joint has moved where that stands out of the log's noise by so many SD
-MOVED_SD = 4.0
 # Step of the joints that says what they do to the interface [m, rad]
 _STEP = 1e-5
 
 
-def at_first(robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far (6,) [m, rad] the robot's joints were from their mean over the standing person when first seen, and SD.
+def at_first(
+    robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray, options: dict
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far (6,) [m, rad] the robot's joints were, when first seen, from their mean while all stand; and SD.
 
     Both are 0 for a joint that has not moved beyond noise ``sd`` (6,), or is unknown then. ``robot`` (n, 6) as from
-    `robot_motion`, ``start`` its first samples while the person stands. A joint starts from rest, so that a constant
+    `robot_motion`, ``start`` its first samples while the person stands, ``options`` the slice ``diagnosis.start`` of
+    the configuration. A joint starts from rest, so that a constant
     and a square of time tell its start.
     """
-    n = max(3, round(FIRST_S * rate_hz))
+    n = max(3, round(options["first_s"] * rate_hz))
     first, time_s = robot[:n], np.arange(n) / rate_hz
     weights = np.linalg.pinv(np.column_stack([np.ones(n), time_s**2]))[0]
     shift = weights @ first
     # the mean over all the standing is taken off, and shares a part of its samples
     spread = np.sqrt(max(float(np.sum(weights**2)) - 1 / max(start, n), 0.0)) * sd
-    moved = np.isfinite(shift) & (np.abs(shift) > MOVED_SD * spread)
+    moved = np.isfinite(shift) & (np.abs(shift) > options["moved_sd"] * spread)
     return np.where(moved, shift, 0.0), np.where(moved, spread, 0.0)
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from real2sim import signals
 from real2sim.artefacts import read_json
 from real2sim.geometry import AXES, INTERFACE_MARKERS, mean_rotation, rotation_matrix
-from real2sim.recording.jumps import EDGE_S, around
+from real2sim.recording.jumps import JumpRule, around
 from real2sim.system.plant import ROBOT_JOINTS
 
 
@@ -43,15 +43,15 @@ def log_offset_sd(quality: Path) -> float:
     return float((read_json(quality).get("robot") or {}).get("offset_sd_s") or 0.0)
 
 
-def without_filled(interface: np.ndarray, markers: Path, rate_hz: float) -> np.ndarray:
-    """Interface markers (n, 2, 3) [m], unknown where a short gap was filled and as far as a filter carries that.
+def without_filled(interface: np.ndarray, markers: Path, rule: JumpRule) -> np.ndarray:
+    """Return interface markers (n, 2, 3) [m], unknown where a short gap was filled and as far as a filter carries that.
 
     What fills a gap starts from noise at both ends, and with loud markers it was taken for a jump.
     """
     table = pq.read_table(markers)
     filled = np.column_stack([table[f"{name}_filled"].to_numpy() for name in INTERFACE_MARKERS])
     out = interface.copy()
-    out[around(filled, rate_hz, EDGE_S)] = np.nan
+    out[around(filled, rule, "edge_s")] = np.nan
     return out
 
 

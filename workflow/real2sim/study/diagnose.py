@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -15,7 +16,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.answer import Diagnosis, answer
 from real2sim.diagnosis.trials import Trials, search_both_ways
 from real2sim.provenance import fingerprint, provenance
-from real2sim.recording.noise import marker_noise
+from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import StrapEvidence
@@ -25,13 +26,19 @@ _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
 def _time_step(settings: dict[str, Any], step: Path | None) -> float:
-    """Of the person's step study, of the configuration, or the study's largest candidate."""
+    """Return the time step [s] of the person's step study, of the configuration, or the largest that suits the clock.
+
+    That is the study's largest candidate, or where it does not divide the sample interval, the largest step below it
+    that does.
+    """
     if step is not None:
         return float(read_json(step, ("timestep_s",))["timestep_s"])
     configured = settings["plant"]["timestep_s"]
-    return (
-        float(max(settings["plant"]["study"]["candidates_s"])) if configured == "auto" else float(configured)
-    )
+    if configured != "auto":
+        return float(configured)
+    largest, sample = max(settings["plant"]["study"]["candidates_s"]), 1 / settings["ingest"]["rate_hz"]
+    parts = math.ceil(sample / largest - 1e-9)
+    return float(largest) if math.isclose(parts * largest, sample) else sample / parts
 
 
 def strap_trials(
@@ -52,8 +59,8 @@ def strap_trials(
     folders = {folder.name: folder for folder in (train, held_out)}
 
     @cache
-    def noise() -> dict[str, Any]:
-        return marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    def noise() -> NoiseModel:
+        return NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
 
     def load(trial: str, settled: bool) -> StrapEvidence:
         return load_evidence(
@@ -62,7 +69,7 @@ def strap_trials(
             limits=limits,
             robot=robot,
             settings=settings,
-            sd=noise(),
+            noise=noise(),
             settled=settled,
             threads=threads,
         )

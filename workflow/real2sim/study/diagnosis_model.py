@@ -17,7 +17,7 @@ from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import Provenance, fingerprint, provenance
-from real2sim.recording.noise import marker_noise
+from real2sim.recording.noise import NoiseModel
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_recording import load_evidence
 from real2sim.system.description import System
@@ -98,7 +98,7 @@ def export_model(
         ),
     )
     settings = answer["settings"]
-    noise = marker_noise(neutral / "markers.parquet", settings["ingest"]["rate_hz"])
+    noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
     effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
     scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
     evidence = load_evidence(
@@ -107,7 +107,7 @@ def export_model(
         limits=limits,
         robot=robot,
         settings=settings,
-        sd=noise,
+        noise=noise,
         settled=answer["robot_holds"] == BALANCE,
     ).with_scales(scales)
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])

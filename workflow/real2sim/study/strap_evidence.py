@@ -15,7 +15,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.fft import dct, idct
 from scipy.linalg import block_diag
 
 from real2sim import signals
@@ -26,8 +25,8 @@ from real2sim.effects.chains import Chains, Context, Elsewhere
 from real2sim.effects.replay import EffectReplay, InputBasis
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from real2sim.inference.cost import TrialCost
-from real2sim.recording.jumps import MARKER_FLOOR_M, SPIKE_RESIDUAL_SD, spikes
-from real2sim.recording.noise import BANDS_HZ
+from real2sim.recording.jumps import JumpRule, spikes
+from real2sim.recording.noise import NoiseModel
 from real2sim.recording.pelvis import lowpass_from_standing, rigid_markers
 from real2sim.recording.skin import Skin
 from real2sim.recording.trial import Trial, replay_inputs
@@ -36,9 +35,6 @@ from real2sim.system.description import System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.plant import STRAP_JOINTS, JointLimits
 
-# What a channel of the robot is never trusted beyond: base x y [m], yaw [rad], lift [m], roll and pitch [rad]. The
-# plant's own error at its time step is smaller (benchmarks/plant.py), and encoders have play that standing hides.
-ROBOT_FLOOR = np.array([5e-5, 5e-5, 1e-4, 5e-5, 1e-4, 1e-4])
 # How late a log's stamps are beside what they say, SD [s], and how well the size of wheels is known, SD: one number a
 # trial each (systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869)
 LOG_LATENCY_S = 0.001
@@ -86,14 +82,13 @@ class Recorded:
 class NoiseLevels:
     """Standard deviations of what is measured, as quiet standing and the trial's start show them.
 
-    ``marker_sd``, ``colour`` and ``robot_sd`` of markers and robot log (`marker_noise`, `noise_colour`, `robot_noise`);
+    ``noise_model`` and ``robot_sd`` of markers and robot log (`NoiseModel`, `robot_noise`);
     ``rest_sd`` (6,) of the rest pose (`rest_uncertainty`); ``hold_sd`` (2, 6) of where a robot at rest holds and how
     fast it moves at the start (`hold_uncertainty`); ``let_go`` (6, 6) what one SD of each robot joint at the start does
     to the start pose (`moved_to_first`); ``log_offset_sd_s`` of the log's clock [s].
     """
 
-    marker_sd: Mapping[str, np.ndarray]
-    colour: np.ndarray
+    noise_model: NoiseModel
     robot_sd: np.ndarray
     rest_sd: np.ndarray
     hold_sd: np.ndarray
@@ -192,7 +187,7 @@ class StrapEvidence:
     def bands(self) -> Bands:
         """Bands of frequency within which the noise is taken as equal."""
         time_s = self.trial.time_s
-        return Bands(BANDS_HZ, len(time_s), float(time_s[1] - time_s[0]))
+        return Bands(self.levels.noise_model.bands.edges_hz, len(time_s), float(time_s[1] - time_s[0]))
 
     @property
     def channels(self) -> int:
@@ -372,8 +367,9 @@ class StrapEvidence:
         A motion hides jumps that its simulation does not make.
         """
         rate = 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
-        known = self.context.spikes
-        found = spikes(self.trial.interface - paths, rate, SPIKE_RESIDUAL_SD) | known
+        options, known = self.setup.settings["diagnosis"]["jumps"], self.context.spikes
+        rule = JumpRule(rate, self.setup.settings["ingest"]["cutoff_hz"], options)
+        found = spikes(self.trial.interface - paths, rule, options["residual_sd"]) | known
         if not (found & ~known).any():
             return self
         context = replace(self.context, spikes=found)
@@ -390,7 +386,7 @@ class StrapEvidence:
     @property
     def _floor(self) -> np.ndarray:
         """What each channel is never trusted beyond, (c,)."""
-        return np.concatenate([np.full(6, MARKER_FLOOR_M), ROBOT_FLOOR])[: self.channels]
+        return self.levels.noise_model.bands.floor[: self.channels]
 
     def noise_through(
         self,
@@ -420,7 +416,9 @@ class StrapEvidence:
         self._shake(replay, draws, seed)
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
         rng = np.random.default_rng([seed, draws])
-        logged = self.levels.robot_sd * rng.standard_normal((draws, len(self.trial.time_s), len(ROBOT_FLOOR)))
+        logged = self.levels.robot_sd * rng.standard_normal(
+            (draws, len(self.trial.time_s), len(self.levels.robot_sd))
+        )
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
         nuisance = self._nuisance(seed, draws)
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
@@ -492,20 +490,15 @@ class StrapEvidence:
         self._shake(replay, draws, seed)
         return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
 
-    def _filtered_noise(
-        self, names: tuple[str, ...], colour: np.ndarray, cutoff_hz: float, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Noise (n, m, 3) [m] of markers as the filter leaves it, ``colour`` (bands,) as of `noise_colour`."""
-        settings, n = self.setup.settings["ingest"], len(self.trial.time_s)
-        white = rng.standard_normal((n, len(names), 3)) * np.array([self.levels.marker_sd[m] for m in names])
-        if (colour > 1).any():
-            frequency = np.arange(n) * settings["rate_hz"] / (2 * n)
-            louder = np.sqrt(colour[np.searchsorted(BANDS_HZ[1:-1], frequency, side="right")])
-            white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
-        rate, own = settings["rate_hz"], settings["cutoff_hz"]
-        if cutoff_hz < own:
-            return lowpass_from_standing(white, rate, cutoff_hz, self.context.start)
-        return signals.lowpass(white.reshape(n, -1), rate, own, settings["filter_order"]).reshape(white.shape)
+    def _pelvis_noise(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw noise (n, 4, 3) [m] of the pelvis markers as the filters of the pelvis path leave it."""
+        model, n = self.levels.noise_model, len(self.trial.time_s)
+        rate, cutoff = model.bands.rate_hz, self.recorded.pelvis_cutoff_hz
+        if cutoff >= model.bands.low_pass.cutoff_hz:
+            return model.filtered(PELVIS_MARKERS, n, rng)
+        is_filtered = model.bands.is_filtered
+        noise = (model.filtered if is_filtered else model.unfiltered)(PELVIS_MARKERS, n, rng)
+        return lowpass_from_standing(noise, rate, cutoff, self.context.start)
 
     def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
@@ -513,15 +506,11 @@ class StrapEvidence:
             trial, rng = self.trial, np.random.default_rng([seed, i])
             clean = rigid_markers(trial)
             r_clean, p_clean = pelvis_frame(*clean)
-            noise = self._filtered_noise(
-                PELVIS_MARKERS, self.levels.colour[0], self.recorded.pelvis_cutoff_hz, rng
-            )
+            noise = self._pelvis_noise(rng)
             r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
             turn = np.einsum("nij,nkj->nik", r, r_clean)
             rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-            own = self._filtered_noise(
-                INTERFACE_MARKERS, self.levels.colour[1], self.setup.settings["ingest"]["cutoff_hz"], rng
-            )
+            own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(trial.time_s), rng)
             self.cache.draws[seed, i] = rotation, position, own
         return self.cache.draws[seed, i]
 

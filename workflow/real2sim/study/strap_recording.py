@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ from real2sim.effects.base import Scales
 from real2sim.effects.chains import Context, markers_of
 from real2sim.geometry import interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
-from real2sim.recording.jumps import spikes, without_ghosts
-from real2sim.recording.noise import hold_uncertainty, noise_colour, rest_uncertainty, robot_noise
+from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
+from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import pelvis_shape, smoothed_pelvis
 from real2sim.recording.skin import skin_of
 from real2sim.recording.start import at_first, moved_to_first
@@ -40,7 +39,7 @@ def load_evidence(
     limits: Path | None,
     robot: Path,
     settings: dict[str, Any],
-    sd: Mapping[str, np.ndarray],
+    noise: NoiseModel,
     settled: bool = False,
     threads: int = 1,
 ) -> StrapEvidence:
@@ -53,22 +52,21 @@ def load_evidence(
     limits
         Joint limits of the person; None lets the strap's joints go anywhere.
     settings
-        Slices ``identification``, ``plant``, ``robot`` and ``ingest``; ``plant.timestep_s`` is a number.
-    sd
-        Raw noise (3,) [m] of each marker, see `marker_noise`.
+        Slices ``identification``, ``plant``, ``robot``, ``ingest`` and ``diagnosis``; ``plant.timestep_s`` is a number.
+    noise
+        Of the markers, from the neutral trial.
     settled, threads
         See `StrapEvidence`, `PlantSetup`.
     """
     rate = settings["ingest"]["rate_hz"]
-    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", rate)
-    recorded, qd, let_go = _read(folder, neutral, robot, settings, sd, log_sd)
+    log_sd = robot_noise(neutral / "robot.parquet", folder / "robot.parquet", noise.bands)
+    recorded, qd, let_go = _read(folder, neutral, robot, settings, noise, log_sd)
     start = recorded.context.start
     held = impedances(settings["robot"], "hold")
     twin = load_robot(robot).compile()
     standing = neutral / "pose.parquet"
     levels = NoiseLevels(
-        sd,
-        noise_colour(neutral / "markers.parquet", rate),
+        noise,
         log_sd,
         rest_uncertainty(standing, rate),
         hold_uncertainty(standing, folder / "pose.parquet", start, rate, twin, held),
@@ -88,7 +86,7 @@ def _read(
     neutral: Path,
     robot: Path,
     settings: dict[str, Any],
-    sd: Mapping[str, np.ndarray],
+    noise: NoiseModel,
     log_sd: np.ndarray,
 ) -> tuple[Recorded, np.ndarray, np.ndarray]:
     """What was measured, rates (n, 6) of the interface, and the uncertainty (6, 6) of the start pose by the log."""
@@ -99,21 +97,25 @@ def _read(
         start_window_s=ident["start_window_s"],
         settle_s=ident["settle_after_gap_s"],
     )
-    trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rate))
+    options = settings["diagnosis"]
+    rule = JumpRule(rate, settings["ingest"]["cutoff_hz"], options["jumps"])
+    trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
-    trial, jumped = without_ghosts(trial, rate, ident["settle_after_gap_s"])
-    trial, cutoff = smoothed_pelvis(trial, sd, rate, settings["ingest"]["cutoff_hz"], start)
+    trial, jumped = without_ghosts(trial, rule, ident["settle_after_gap_s"])
+    trial, cutoff = smoothed_pelvis(trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     let_go = np.zeros((6, 6))
     if measured is not None:
-        trial, let_go = moved_to_first(trial, robot, *at_first(measured, start, rate, log_sd))
+        trial, let_go = moved_to_first(
+            trial, robot, *at_first(measured, start, rate, log_sd, options["start"])
+        )
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
     context = _context(
-        trial, neutral, robot, start, rate, *(signals.lowpass(x, rate, cutoff, 4) for x in (q, qd))
+        trial, neutral, robot, start, rule, *(signals.lowpass(x, rate, cutoff, 4) for x in (q, qd))
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
-    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape)
+    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape, options["skin"])
     return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped), qd, let_go
 
 
@@ -122,7 +124,7 @@ def _context(
     neutral: Path,
     robot: Path,
     start: int,
-    rate_hz: float,
+    rule: JumpRule,
     coordinates: np.ndarray,
     rates: np.ndarray,
 ) -> Context:
@@ -138,7 +140,7 @@ def _context(
         start,
         float(twin.body_mass.sum()),
         trial.interface,
-        spikes(trial.interface, rate_hz),
+        spikes(trial.interface, rule),
         coordinates,
         rates,
         *mean_pelvis(neutral),

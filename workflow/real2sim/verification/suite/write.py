@@ -694,7 +694,8 @@ def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.nda
         path, paths, recording = (getattr(true[trial_name], key) for key in ("path", "paths", "recording"))
         motion = p.motions[trial_name]
         trial = Trial(trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths)
-        t = np.arange(round(motion.duration_s * RATE_HZ)) / RATE_HZ
+        rate = settings["rates"]["markers_hz"]
+        t = np.arange(round(motion.duration_s * rate)) / rate
         centres = recording.interface(t)
         positions = recording.pelvis(t) | {"IF_L": centres[:, 0].copy(), "IF_R": centres[:, 1].copy()}
         clocks = exports.draw_clocks(settings, person, trial_name, index)

@@ -150,7 +150,8 @@ def without_spikes(paths, values, context):
     """Return marker paths (m, n, k, 3) with the measurement where it jumps."""
     # a jump is no evidence about the model; a gap beside it has no measurement to show instead
     out = paths.copy()
-    jumps = context.spikes & np.isfinite(context.measured).all(axis=2)
+    seen = np.isfinite(context.measured).reshape(*context.spikes.shape, -1).all(axis=-1)
+    jumps = context.spikes & seen
     out[:, jumps] = context.measured[jumps]
     return out
 

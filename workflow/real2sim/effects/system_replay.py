@@ -14,7 +14,7 @@ from real2sim.effects.replay import by_axis
 from real2sim.errors import InputError
 from real2sim.system.batches import untimed_batch
 from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
-from real2sim.system.description import MASS, POSE, System
+from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.plant import RestPose, compiled
 from real2sim.system.replay import servo_command
@@ -348,7 +348,7 @@ class SystemReplay:
             jac = np.zeros((6, model.nv))
             mujoco.mj_jacSite(model, data, jac[:3], jac[3:], model.site(DRIVEN_SITE).id)
             rows.append(jac)
-        for joint in self._setup.system.drive.columns:
+        for joint in self._setup.system.drive.columns if self._setup.system.drive.by == PATH else ():
             row = np.zeros((1, model.nv))
             row[0, model.joint(joint).dofadr[0]] = 1
             rows.append(row)

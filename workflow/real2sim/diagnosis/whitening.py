@@ -87,7 +87,7 @@ class Whitening:
         out = np.empty_like(coefficients)
         for b, matrix in enumerate(self.matrices):
             out[:, band == b] = coefficients[:, band == b] @ matrix.T
-        return out.reshape(len(error), -1)
+        return out.reshape(len(error), out.shape[1] * out.shape[2])
 
     def apply(self, error: np.ndarray) -> np.ndarray:
         """Return residuals (m, n_r) whose squares sum to chi-squared, of residuals (m, n, c)."""

@@ -127,7 +127,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class System:
-    """A machine, the interface at its end and what moves them; see docs/systems.md.
+    """A machine, the interface at its end and what moves them; see docs/library.md.
 
     ``model`` is the MJCF of the machine, ``body`` the machine's body that the interface hangs on, ``segment`` the body
     that the plant hangs behind it (None where all joints stand in the MJCF). ``rest`` says where the coordinates are

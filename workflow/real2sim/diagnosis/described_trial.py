@@ -25,8 +25,6 @@ from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
 from real2sim.system.plant import RestPose
 from real2sim.system.replay import servo_command
 
-# Largest time step of a simulation [s]
-LARGEST_STEP_S = 0.004
 # Order of the zero-phase low-pass of drive and coordinates
 _ORDER = 4
 # The start is the mean of so long [s], and of all samples until anything moves by so many SD of its noise
@@ -155,7 +153,7 @@ class DescribedTrial:
     def _model(self) -> tuple[mujoco.MjModel, Solver]:
         segment = self._segment
         frame = None if segment is None else RestPose(segment.rotation[0], segment.position[0])
-        spec = plant_of(self._system, LARGEST_STEP_S, self._anchor, frame)
+        spec = plant_of(self._system, self._system.step_s, self._anchor, frame)
         model = spec.compile()
         sites = tuple((self._system.markers.sites or {}).values()) if self._pose else ()
         return model, Solver(model, sites)
@@ -238,7 +236,7 @@ class DescribedTrial:
     def setup(self, parts: int) -> Setup:
         """Return what a simulation needs, its time step divided into some parts."""
         sample = self._recording.step_s
-        stride = int(np.ceil(sample / LARGEST_STEP_S - 1e-9)) * parts
+        stride = int(np.ceil(sample / self._system.step_s - 1e-9)) * parts
         h = sample / stride
         start, rate = self._start_of()
         commands, drive, acceleration = self._commands(h, stride, None)
@@ -321,7 +319,7 @@ class DescribedTrial:
     def evidence(self) -> SystemEvidence:
         """Return the evidence of this trial, not whitened yet."""
         sd = self._drive_sd()
-        base = self._recording.step_s / int(np.ceil(self._recording.step_s / LARGEST_STEP_S - 1e-9))
+        base = self._recording.step_s / int(np.ceil(self._recording.step_s / self._system.step_s - 1e-9))
         cache: dict[tuple[int, int, int], np.ndarray] = {}
 
         def draw(seed: int, number: int, parts: int) -> np.ndarray:

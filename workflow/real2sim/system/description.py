@@ -132,6 +132,7 @@ class System:
     ``model`` is the MJCF of the machine, ``body`` the machine's body that the interface hangs on, ``segment`` the body
     that the plant hangs behind it (None where all joints stand in the MJCF). ``rest`` says where the coordinates are
     zero: "quiet" (mean over a quiet recording) or "model". ``band_hz``: what is faster in a recording is noise.
+    ``step_s`` is the largest time step of a simulation.
     """
 
     name: str
@@ -147,6 +148,7 @@ class System:
     rest: str = "model"
     about: str = ""
     band_hz: float = 10.0
+    step_s: float = 0.004
 
     @classmethod
     def from_yaml(cls, path: Path | str) -> System:
@@ -180,6 +182,7 @@ class System:
             interface["rest"],
             c["about"],
             float(c["band_hz"]),
+            float(c["step_s"]),
         )
         system._check(source)
         return system

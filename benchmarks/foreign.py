@@ -47,7 +47,7 @@ from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.stage import candidates_of
 from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
-from real2sim.effects.chains import Context
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.inference.parameters import PARAMETERS, Bounds
 from real2sim.system.description import shipped_system
 from real2sim.system.plant import servo_gains
@@ -296,10 +296,8 @@ class OneAxisEvidence:
             np.zeros((n, 2), bool),
             q,
             v,
-            np.eye(3),
-            np.zeros(3),
-            np.zeros((4, 3)),
-            np.zeros((2, 3)),
+            NeutralPose(np.eye(3), np.zeros(3)),
+            MarkerShapes(np.zeros((4, 3)), np.zeros((2, 3))),
             np.zeros(3),
         )
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
-from real2sim.effects.chains import Context, markers_of
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
 from real2sim.effects.replay import EffectReplay
 from real2sim.study.strap import strap_system
 from real2sim.system.description import System
@@ -75,10 +75,8 @@ def replay(
         np.zeros((len(time), 2), bool),
         -offset + noise,
         np.gradient(-offset, 0.01, axis=0),
-        np.eye(3),
-        position[0] + neutral_at,
-        PELVIS_SHAPE,
-        markers_of(rest.rotation, rest.position, half),
+        NeutralPose(np.eye(3), position[0] + neutral_at),
+        MarkerShapes(PELVIS_SHAPE, markers_of(rest.rotation, rest.position, half)),
         np.array([0.12, 0.0, 0.0]),
     )
     return EffectReplay(
@@ -102,7 +100,7 @@ def replay(
 
 def pelvis_at_start() -> Pose:
     """Pelvis of the motion's first sample, which the context takes for that of the neutral trial."""
-    return np.eye(3), replay([])._context.neutral_position
+    return np.eye(3), replay([])._context.neutral.position
 
 
 def placed_whole(name: str, form: str = "") -> Placed:

@@ -20,7 +20,7 @@ OPTIONS = validated({}, "config", Path("defaults"))["diagnosis"]["skin"]
 TIME = np.arange(1200) / RATE
 SHAPE = PELVIS_SHAPE - pelvis_frame(*PELVIS_SHAPE)[1]
 SHAPE = SHAPE @ pelvis_frame(*SHAPE)[0]
-CONTEXT = SimpleNamespace(time_s=TIME, pelvis_shape=SHAPE)
+CONTEXT = SimpleNamespace(time_s=TIME, shapes=SimpleNamespace(segment=SHAPE))
 
 
 def ways(marker: str, *values: float) -> np.ndarray:

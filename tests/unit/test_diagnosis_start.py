@@ -235,7 +235,10 @@ def test_a_pelvis_marker_that_slides_takes_the_pelvis_along(marker):
     rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
     r0, p0 = pelvis_frame(*shape)
     context = SimpleNamespace(
-        time_s=time, pelvis_rotation=rotation @ r0.T, pelvis_position=position - p0, pelvis_shape=shape
+        time_s=time,
+        pelvis_rotation=rotation @ r0.T,
+        pelvis_position=position - p0,
+        shapes=SimpleNamespace(segment=shape),
     )
     found_rotation, found_position = chain(np.concatenate([steady, fading]), context)
     np.testing.assert_allclose(found_position, true_position, atol=5e-5)

@@ -191,7 +191,7 @@ class Recorded:
 
     def replay(self, effects, nsim, coarse=False):
         model = replay(effects, nsim)
-        model._context.held_out = self.held_out
+        model._context = replace(model._context, held_out=self.held_out)
         return model
 
     def whitened(self, paths, joints):
@@ -791,13 +791,13 @@ def test_markers_on_the_strap_go_a_part_of_the_way_with_the_person():
     shift = np.array([0.004, -0.003, 0.002])
     rng = np.random.default_rng(3)
     robot = context.pelvis_position[:, None] + np.einsum(
-        "nij,kj->nki", context.pelvis_rotation, context.rest_shape + shift
+        "nij,kj->nki", context.pelvis_rotation, context.shapes.interface + shift
     )
     robot = robot + 0.01 * rng.standard_normal(robot.shape)
     seen = placed.effect.chains.observation.observe(robot[None], None, part[None], context)[0]
     away = [
         np.einsum("nji,nkj->nki", context.pelvis_rotation, paths - context.pelvis_position[:, None])
-        - context.rest_shape
+        - context.shapes.interface
         for paths in (robot, seen)
     ]
     np.testing.assert_allclose(away[1], (1 - part) * away[0], atol=1e-12)
@@ -855,7 +855,7 @@ def test_a_pelvis_that_was_seen_too_large_is_where_it_was_with_the_rest_pose_tha
     context = replay([], neutral_at=np.array([0.4, -0.2, 0.0]))._context
     rotation, position = lab.scaled_motion(np.array([0.03]), context)
     true = context.pelvis_position / 1.03
-    neutral, stood = context.neutral_rotation, context.neutral_position
+    neutral, stood = context.neutral.rotation, context.neutral.position
     interface_at_neutral = stood + neutral @ REST.position
     true_rest = neutral.T @ (interface_at_neutral - stood / 1.03)
     np.testing.assert_allclose(position + rotation @ REST.position, true + rotation @ true_rest, atol=1e-12)

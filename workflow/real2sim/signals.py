@@ -128,3 +128,10 @@ def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
     """Return the times k / rate within [start, end]."""
     first, last = int(np.ceil(start_s * rate_hz - 1e-6)), int(np.floor(end_s * rate_hz + 1e-6))
     return np.arange(first, last + 1) / rate_hz
+
+
+def steady_and_fading(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance (n,) per initial rate [s] at a steady rate, and at one that fades over a third of a trial."""
+    t = time_s - time_s[0]
+    fades = t[-1] / 3
+    return t, fades * (1 - np.exp(-t / fades))

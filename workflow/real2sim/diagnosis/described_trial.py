@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from real2sim import signals
 from real2sim.diagnosis.system_evidence import MARKER_FLOOR_M, Measured, Simulated, SystemEvidence
 from real2sim.effects.base import Scales
-from real2sim.effects.chains import Context
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose
@@ -481,14 +481,12 @@ class DescribedTrial:
             np.zeros(measured.observed.shape, bool),
             q,
             v,
-            rotation[0],
-            position[0],
-            shape,
-            np.zeros((2, 3)),
+            NeutralPose(rotation[0], position[0]),
+            MarkerShapes(shape, np.zeros((2, 3))),
             np.zeros(3),
         )
 
 
 def _large(values: np.ndarray) -> np.ndarray:
     """Large excursions: the 95th percentile of the size."""
-    return np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6)
+    return np.asarray(np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6))

@@ -134,7 +134,7 @@ class JointResiduals(least_squares.Residuals):
     def _prior(self, z: np.ndarray, part: slice) -> np.ndarray:
         """Rows (m, r) of those coordinates in a part that are held near something."""
         held = np.isfinite(self.prior_sd[part])
-        return (z - self.prior_mean)[:, part][:, held] / self.prior_sd[part][held]
+        return np.asarray((z - self.prior_mean)[:, part][:, held] / self.prior_sd[part][held])
 
     @property
     def _places(self) -> list[slice]:
@@ -154,7 +154,7 @@ class JointResiduals(least_squares.Residuals):
 
     def paths(self, z: np.ndarray) -> np.ndarray:
         """Simulated interface markers (n, 2, 3) [m, world] at a point (n + p,)."""
-        return self._run(z[None])[0][0]
+        return np.asarray(self._run(z[None])[0][0])
 
     def raw(self, z: np.ndarray) -> np.ndarray:
         """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""

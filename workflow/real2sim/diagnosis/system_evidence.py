@@ -103,7 +103,7 @@ class SystemEvidence:
     @property
     def channels(self) -> int:
         """Observed and logged channels."""
-        return self.measured.observed.shape[1] + self.measured.logged.shape[1]
+        return int(self.measured.observed.shape[1] + self.measured.logged.shape[1])
 
     @property
     def samples(self) -> int:
@@ -289,7 +289,7 @@ class SystemEvidence:
             replay.shift_start(1 + len(places) + i, joint, sd, rate=rate)
         paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
         both = np.concatenate([paths, joints], axis=2)
-        return np.nan_to_num(both[1:] - both[:1])
+        return np.asarray(np.nan_to_num(both[1:] - both[:1]))
 
     def with_spikes(self, paths: np.ndarray) -> SystemEvidence:
         """The same trial with samples marked where observations jump out of simulated ones (n, c); self for none."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -42,7 +42,7 @@ class Scales:
     @property
     def force(self) -> np.ndarray:
         """Force of the plain interface in a large excursion (n,) [N, Nm]."""
-        return self.k * self.q + self.d * self.v
+        return np.asarray(self.k * self.q + self.d * self.v)
 
 
 @dataclass(frozen=True)
@@ -92,15 +92,17 @@ class Where:
 class Fields:
     """Fields of the plant's batch, expanded per simulation when they are first asked for."""
 
-    def __init__(self, batch, model: mujoco.MjModel, m: int, scales: Scales, system: System):
+    def __init__(
+        self, batch: mujoco.batch.Batch, model: mujoco.MjModel, m: int, scales: Scales, system: System
+    ):
         self._batch, self.model, self.m, self.scales, self.system = batch, model, m, scales, system
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self._batch.expand(name)[: self.m]
+        return np.asarray(self._batch.expand(name)[: self.m])
 
     def joint(self, axis: int) -> int:
         """Joint index of an axis of the interface."""
-        return self.model.joint(self.system.axes[axis].joint).id
+        return int(self.model.joint(self.system.axes[axis].joint).id)
 
     def dof(self, axis: int) -> int:
         """Degree of freedom of an axis of the interface."""
@@ -108,7 +110,7 @@ class Fields:
 
     def tendon(self, name: str) -> int:
         """Index of a tendon."""
-        return self.model.tendon(name).id
+        return int(self.model.tendon(name).id)
 
     def stiffest(self, axis: int) -> float:
         """Largest stiffness of an axis at which the time step is stable."""
@@ -297,7 +299,7 @@ class Effect:
     remedy: str = ""
     indistinguishable: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.group:
             object.__setattr__(self, "group", self.name)
 
@@ -370,7 +372,7 @@ class Placed:
     def values(self, x: np.ndarray) -> np.ndarray:
         """SI values (m, p) of searched numbers (m, p)."""
         log = np.array([p.log for p in self.effect.parameters], dtype=bool)
-        return np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale()
+        return np.asarray(np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale())
 
     def of_trial(self, *, held_out: bool) -> np.ndarray:
         """Which of the parameters (p,) belong to the fitted trial, or to the held-out one."""
@@ -470,7 +472,7 @@ def near_zero(name: str, unit: str, sd: float, bound: float) -> EffectParameter:
     return EffectParameter(name, unit, -bound, bound, (0.0,), prior_sd=sd)
 
 
-def add_tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes) -> None:
+def add_tendon(spec: mujoco.MjSpec, name: str, joints: dict[str, float], **attributes: Any) -> None:
     """Add a fixed tendon over joints with coefficients to the plant; ``attributes`` are MuJoCo's."""
     tendon = spec.add_tendon(name=name, **attributes)
     for joint, coefficient in joints.items():

@@ -14,17 +14,31 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-@dataclass
+@dataclass(frozen=True)
+class NeutralPose:
+    """Pose of the driven segment in the neutral trial, where the rest pose was taken: (3, 3) and (3,) [m, world]."""
+
+    rotation: np.ndarray
+    position: np.ndarray
+
+
+@dataclass(frozen=True)
+class MarkerShapes:
+    """Where markers are on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m]."""
+
+    segment: np.ndarray
+    interface: np.ndarray
+
+
+@dataclass(frozen=True)
 class Context:
     """Measurements of a trial that chains and planned forces are computed from.
 
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
     (n, 3) of the driven segment; ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the
     person stands; ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
-    ``coordinates`` and ``rates`` (n, axes) of the interface, measured; ``neutral_rotation`` (3, 3) and
-    ``neutral_position`` (3,) of the segment in the neutral trial [m, world], where the rest pose was taken;
-    ``pelvis_shape`` (4, 3) positions of the segment's markers on it and ``rest_shape`` (2, 3) of the interface's
-    markers relative to the segment at rest [m]; ``on_arm`` (3,) position of the interface on the robot's arm, with
+    ``coordinates`` and ``rates`` (n, axes) of the interface, measured; ``neutral`` pose of the segment;
+    ``shapes`` of the markers on it; ``on_arm`` (3,) position of the interface on the robot's arm, with
     whose roll and pitch it turns [m]; ``held_out``: the trial is not the one that is fitted.
     """
 
@@ -39,10 +53,8 @@ class Context:
     spikes: np.ndarray
     coordinates: np.ndarray
     rates: np.ndarray
-    neutral_rotation: np.ndarray
-    neutral_position: np.ndarray
-    pelvis_shape: np.ndarray
-    rest_shape: np.ndarray
+    neutral: NeutralPose
+    shapes: MarkerShapes
     on_arm: np.ndarray
     held_out: bool = False
 
@@ -85,6 +97,7 @@ class Observation:
 
 InputChain = Callable[[np.ndarray, Context], tuple[np.ndarray, np.ndarray]]
 OutputChain = Callable[[np.ndarray, np.ndarray, Context], np.ndarray]
+Displacement = Callable[[np.ndarray, Context], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -101,7 +114,7 @@ class Chains:
     output: OutputChain | None = None
     log: OutputChain | None = None
     observation: Observation | None = None
-    displacement: Callable[[np.ndarray, Context], np.ndarray] | None = None
+    displacement: Displacement | None = None
 
     @property
     def of_measurement(self) -> bool:
@@ -124,7 +137,7 @@ class Elsewhere(Observation):
 
     of_markers = False
 
-    def true_poses(self, values, seen, context, axes):
+    def true_poses(self, values: np.ndarray, seen: Poses, context: Context, axes: tuple[int, ...]) -> Poses:
         """Move and turn the start; the rest pose is as observed."""
         turn = Rotation.from_rotvec(values[3:]).as_matrix()
         return replace(seen, rotation=turn @ seen.rotation, position=seen.position + values[:3])

@@ -23,9 +23,9 @@ class Reaction:
         self._gain, self.delay, smoothing = values.T
         self._felt = _LowPass(smoothing, before, step_s)
 
-    def force(self, heard, *, keep):
+    def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
         """Return the forces, see `Law`."""
-        return self._gain[:, None, None] * self._felt(heard, keep=keep)
+        return np.asarray(self._gain[:, None, None] * self._felt(heard, keep=keep))
 
 
 class Admittance:
@@ -45,10 +45,12 @@ class Admittance:
         self._leak = values[:, 4, None, None]
         self._kept = _LowPass(values[:, 4], np.zeros_like(before), step_s)
 
-    def force(self, heard, *, keep):
+    def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
         """Return the forces, see `Law`."""
         felt = self._felt(heard, keep=keep)
-        return self._gains * felt + self._rates * self._leak * self._kept(felt - self._before, keep=keep)
+        return np.asarray(
+            self._gains * felt + self._rates * self._leak * self._kept(felt - self._before, keep=keep)
+        )
 
 
 # Power by which a limited integral takes in less, the fuller it is: the limit shows before it is reached
@@ -69,7 +71,7 @@ class HoldIntegral:
         self._change, self._limit = -values[:, :3] * step_s, values[:, 3:]
         self._state = np.zeros_like(before)
 
-    def force(self, heard, *, keep):
+    def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
         """Return the forces, see `Law`."""
         out, state = np.empty_like(heard), self._state
         for k in range(heard.shape[1]):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from real2sim.effects.base import AtRest, Effect, EffectParameter
+from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Where
+from real2sim.effects.chains import Context
 from real2sim.effects.frames import RESTS
 from real2sim.effects.planned import PlannedForce, StandingForce
 from real2sim.system.description import BASE_JOINTS
 
 
-def tilt(values, context, where, impedance):
+def tilt(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
     """Return forces (m, steps, 2) [N] on the base, for slopes (m, 2) [rad]."""
     force = 9.81 * context.robot_mass * values
     return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)

@@ -14,6 +14,7 @@ from real2sim.effects.base import (
     Effect,
     EffectParameter,
     Fields,
+    InterfaceImpedance,
     Mechanism,
     Where,
     add_tendon,
@@ -22,7 +23,7 @@ from real2sim.effects.base import (
     near_zero,
     stiffness,
 )
-from real2sim.effects.chains import Chains, Observation
+from real2sim.effects.chains import Chains, Context, Observation, Poses
 
 # Confusable effects
 TURNS = ("cross_coupling", "misalignment", "lab_yaw")
@@ -52,12 +53,12 @@ class Coupling(Mechanism):
     def __init__(self, name: str):
         self._field = name
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add both tendons."""
         a, b = where.axes
         _product(spec, where.element, (where.joint(a), where.joint(b)))
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write half the value on each, with opposite signs."""
         _set_product(fields, where.element, self._field, values[:, 0])
 
@@ -65,7 +66,7 @@ class Coupling(Mechanism):
 class TurnedAxes(Mechanism):
     """All axes turned by a rotation vector, values (m, 3) [rad]."""
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Turn the axis of each joint."""
         turn = Rotation.from_rotvec(values).as_matrix()
         for axis in range(len(where.system.axes)):
@@ -82,7 +83,7 @@ class TurnedLaw(Mechanism):
 
     _blocks = ((0, 1, 2), (3, 4, 5))
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add tendons of no stiffness."""
         for axis in range(len(where.system.axes)):
             joint = {where.joint(axis): 1.0}
@@ -94,7 +95,7 @@ class TurnedLaw(Mechanism):
     def _name(self, where: Where, *axes: int) -> str:
         return "_".join(["turned", *(where.system.axes[a].name for a in axes), where.element])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the difference of the turned matrices."""
         turn = Rotation.from_rotvec(values).as_matrix()
         for field, diagonal in (("tendon_stiffness", impedance.k), ("tendon_damping", impedance.d)):
@@ -120,7 +121,7 @@ class RestShift(Mechanism):
     order = 1
     moves_rest = True
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the spring reference of the joint, and the lengths at which tendons over it are slack or stop."""
         move_rest(fields, where.axis, values[:, 0])
 
@@ -150,7 +151,7 @@ class RestTurned(Observation):
 
     of_markers = False
 
-    def true_poses(self, values, seen, context, axes):
+    def true_poses(self, values: np.ndarray, seen: Poses, context: Context, axes: tuple[int, ...]) -> Poses:
         """Turn the rest pose about the segment's axis; the start is as observed."""
         turn = Rotation.from_rotvec(values[0] * np.eye(3)[axes[0] - 3]).as_matrix()
         return replace(seen, rest_rotation=turn @ seen.rest_rotation)

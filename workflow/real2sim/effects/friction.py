@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -9,6 +11,8 @@ from real2sim.effects.base import (
     AtRest,
     Effect,
     EffectParameter,
+    Fields,
+    InterfaceImpedance,
     Mechanism,
     Where,
     excursion,
@@ -30,14 +34,14 @@ class DryFriction(Mechanism):
 
     sticks = True
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Give the joint friction, which has to be there when compiled."""
         joint = spec.joint(where.joint())
         joint.frictionloss = 1e-6
         joint.solref_friction = [2.0 * spec.option.timestep, 1.0]
         joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the force."""
         fields["dof_frictionloss"][:, fields.dof(where.axis)] = np.maximum(values[:, 0], 1e-9)
 
@@ -48,19 +52,19 @@ class UnevenFriction(DryFriction):
     It equals even friction beside a constant force, moving and sticking.
     """
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Give the joint friction and an actuator without a command."""
         super().build(spec, where)
         _without_command(spec, f"uneven_{where.element}", where)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the even friction and the force."""
         super().set(fields, where, impedance, values)
         index = fields.model.actuator(f"uneven_{where.element}").id
         fields["actuator_biasprm"][:, index, 0] = -values[:, 0] * values[:, 1]
 
 
-def _without_command(spec: mujoco.MjSpec, name: str, where: Where, **attributes) -> None:
+def _without_command(spec: mujoco.MjSpec, name: str, where: Where, **attributes: Any) -> None:
     """Add an actuator of the axis whose force depends on nothing but the joint."""
     actuator = spec.add_actuator(
         name=name,
@@ -82,7 +86,7 @@ class SmoothFriction(Mechanism):
     substeps = 4
     _parts = 3
 
-    def __init__(self):
+    def __init__(self) -> None:
         # the curve's slope falls from 1 in equal shares, one wherever a damper saturates; all together make 1
         rates = np.arctanh(np.sqrt((np.arange(self._parts) + 0.5) / self._parts))
         self._weights = rates / rates.sum()
@@ -91,13 +95,13 @@ class SmoothFriction(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"smooth_{i}_{where.element}" for i in range(self._parts)]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add actuators without a command that brake up to a force."""
         for name in self._names(where):
             limited = mujoco.mjtLimited.mjLIMITED_TRUE
             _without_command(spec, name, where, forcelimited=limited, forcerange=[-1, 1])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write slope and limit of each damper, all slopes together limited to what the time step allows."""
         force, rate = values.T
         limit = force[:, None] * self._weights
@@ -118,7 +122,7 @@ class Bristles(Mechanism):
 
     substeps = 4
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add a passive motor without an electrical side."""
         actuator = spec.add_actuator(
             name=f"bristles_{where.element}",
@@ -135,7 +139,7 @@ class Bristles(Mechanism):
         actuator.dynprm = [0, 0, 0, 0, 0, 1, 0.1, 0, 0, 0]
         actuator.ctrlspec, actuator.actdim, actuator.actearly = 0, 1, True
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write a bristle stiffness at which it slips at the deflection, limited to what the time step allows."""
         axis = where.axis
         index = fields.model.actuator(f"bristles_{where.element}").id

@@ -7,18 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
-from real2sim.effects.chains import Chains, Context, Observation, Poses, markers_of
+from real2sim.effects.chains import (
+    Chains,
+    Context,
+    Displacement,
+    InputChain,
+    Observation,
+    OutputChain,
+    Poses,
+    markers_of,
+)
 from real2sim.effects.frames import RESTS
 from real2sim.effects.migration import DRIFTS
 from real2sim.geometry import PELVIS_MARKERS, interface_frame, mean_rotation, pelvis_frame
+from real2sim.signals import steady_and_fading
 
 
 class OffCentre(Observation):
     """Markers that sit off the joint centres, fixed in the interface: values (m, 6) [m, interface], left and right."""
 
-    def true_poses(self, values, seen, context, axes):
+    def true_poses(self, values: np.ndarray, seen: Poses, context: Context, axes: tuple[int, ...]) -> Poses:
         """Find the poses from the centres; that of the neutral trial from its mean pelvis."""
-        pelvis, origin = context.neutral_rotation, context.neutral_position
+        pelvis, origin = context.neutral.rotation, context.neutral.position
         half = _half(context)
         offsets = values.reshape(2, 3)
         rotation, position = _from_centres(seen.rotation, seen.position, half, offsets)
@@ -32,15 +42,17 @@ class OffCentre(Observation):
             _heading(seen, rotation),
         )
 
-    def observe(self, paths, rotation, values, context):
+    def observe(
+        self, paths: np.ndarray, rotation: np.ndarray, values: np.ndarray, context: Context
+    ) -> np.ndarray:
         """Add the offsets to the joint centres."""
-        return paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3))
+        return np.asarray(paths + np.einsum("mnij,mkj->mnki", rotation, values.reshape(-1, 2, 3)))
 
 
 class Retaped(OffCentre):
     """As `OffCentre`, since the neutral trial only: the rest pose was observed rightly."""
 
-    def true_poses(self, values, seen, context, axes):
+    def true_poses(self, values: np.ndarray, seen: Poses, context: Context, axes: tuple[int, ...]) -> Poses:
         """Find the pose at the start from the centres; the rest pose is as observed."""
         poses = super().true_poses(values, seen, context, axes)
         return replace(poses, rest_rotation=seen.rest_rotation, rest_position=seen.rest_position)
@@ -52,22 +64,24 @@ class OnStrap(Observation):
     By axis of the pelvis; 0 is a marker on the robot, 1 one that stays where the pelvis has it at rest.
     """
 
-    def true_poses(self, values, seen, context, axes):
+    def true_poses(self, values: np.ndarray, seen: Poses, context: Context, axes: tuple[int, ...]) -> Poses:
         """Find the pose at the start from where the markers would be on the robot; at rest they are as observed."""
         first = slice(0, context.start)
         pelvis, origin = mean_rotation(context.pelvis_rotation[first]), context.pelvis_position[first].mean(0)
         markers = markers_of(seen.rotation, seen.position, _half(context))
         # the markers move (1 - part) of the way of the robot
-        way = ((markers - origin) @ pelvis - context.rest_shape) / (1 - values)
-        left, right = origin + (context.rest_shape + way) @ pelvis.T
+        way = ((markers - origin) @ pelvis - context.shapes.interface) / (1 - values)
+        left, right = origin + (context.shapes.interface + way) @ pelvis.T
         rotation, position = interface_frame(left, right, seen.rotation[:, 2])
         return replace(seen, rotation=rotation, position=position, heading=_heading(seen, rotation))
 
-    def observe(self, paths, rotation, values, context):
+    def observe(
+        self, paths: np.ndarray, rotation: np.ndarray, values: np.ndarray, context: Context
+    ) -> np.ndarray:
         """Move the markers a part of the way from the robot to where the pelvis has them at rest."""
         pelvis, origin = context.pelvis_rotation, context.pelvis_position
-        way = np.einsum("nji,mnkj->mnki", pelvis, paths - origin[None, :, None]) - context.rest_shape
-        return paths - np.einsum("nij,mnkj->mnki", pelvis, values[:, None, None] * way)
+        way = np.einsum("nji,mnkj->mnki", pelvis, paths - origin[None, :, None]) - context.shapes.interface
+        return np.asarray(paths - np.einsum("nij,mnkj->mnki", pelvis, values[:, None, None] * way))
 
 
 def _half(context: Context) -> float:
@@ -95,35 +109,28 @@ def _from_centres(
     return true, centre
 
 
-def slides(time_s):
-    """Return the way (n,) per rate [s] of a marker at a steady rate, and at one that fades over a third of a trial."""
-    t = time_s - time_s[0]
-    fades = t[-1] / 3
-    return t, fades * (1 - np.exp(-t / fades))
-
-
-def sliding_marker(index: int):
+def sliding_marker(index: int) -> Displacement:
     """Return the displacements (n, 4, 3) [m, pelvis] of the pelvis markers of which one slides, for values (6,).
 
     ``index`` counts `PELVIS_MARKERS`. The first three values are steady rates [m/s], the last three rates at the start
     that fade over a third of the trial.
     """
 
-    def displacement(values, context):
-        steady, fading = slides(context.time_s)
-        out = np.zeros((len(steady), *context.pelvis_shape.shape))
+    def displacement(values: np.ndarray, context: Context) -> np.ndarray:
+        steady, fading = steady_and_fading(context.time_s)
+        out = np.zeros((len(steady), *context.shapes.segment.shape))
         out[:, index] = steady[:, None] * values[:3] + fading[:, None] * values[3:]
         return out
 
     return displacement
 
 
-def under_skin(displacement):
+def under_skin(displacement: Displacement) -> InputChain:
     """Return the input chain of pelvis markers with a displacement (see `sliding_marker`): the path of the bone."""
 
-    def bone(values, context):
+    def bone(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
         rotation, position = context.pelvis_rotation, context.pelvis_position
-        shape = context.pelvis_shape
+        shape = context.shapes.segment
         seen, true = (
             position[:, None] + np.einsum("nij,nkj->nki", rotation, on_bone)
             for on_bone in (np.tile(shape, (len(position), 1, 1)), shape - displacement(values, context))
@@ -134,10 +141,10 @@ def under_skin(displacement):
     return bone
 
 
-def drifting_marker(side: int):
+def drifting_marker(side: int) -> OutputChain:
     """Return the output chain of a ramp (m, 3) [m/s] in one interface marker: 0 left, 1 right."""
 
-    def drift(paths, values, context):
+    def drift(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
         out = paths.copy()
         t = context.time_s - context.time_s[0]
         out[:, :, side] += t[None, :, None] * values[:, None, :]
@@ -146,7 +153,7 @@ def drifting_marker(side: int):
     return drift
 
 
-def without_spikes(paths, values, context):
+def without_spikes(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     """Return marker paths (m, n, k, 3) with the measurement where it jumps."""
     # a jump is no evidence about the model; a gap beside it has no measurement to show instead
     out = paths.copy()

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 
-from real2sim.effects.base import AtRest, Effect, EffectParameter, Mechanism
+from real2sim.effects.base import (
+    AtRest,
+    Effect,
+    EffectParameter,
+    Fields,
+    InterfaceImpedance,
+    Mechanism,
+    Where,
+)
+from real2sim.effects.chains import Context
 from real2sim.effects.planned import StandingForce
 from real2sim.effects.robot import LOADS
 from real2sim.system.description import ARM_JOINTS
@@ -18,7 +28,7 @@ _OFF_ORIGIN_M = 1e-6
 class InterfaceMass(Mechanism):
     """Mass and isotropic inertia that the model's interface body lacks, values (m, 2) [kg, kg m^2]."""
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body."""
         body = fields.model.body(where.system.body).id
         fields["body_mass"][:, body] = fields.model.body_mass[body] + values[:, 0]
@@ -32,7 +42,7 @@ class HangingMass(StandingForce):
         super().__init__(plan, joints)
         self._mass = InterfaceMass()
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body."""
         self._mass.set(fields, where, impedance, values)
 
@@ -44,13 +54,13 @@ class OffCentreMass(HangingMass):
     mass that the lift does not balance [kg].
     """
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add the motors; MuJoCo fixes a centre of mass that is at the body's origin when compiled, so move it."""
         super().build(spec, where)
         body = spec.body(where.system.body)
         body.ipos = body.ipos + _OFF_ORIGIN_M
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body and move its centre."""
         super().set(fields, where, impedance, values)
         model = fields.model
@@ -60,12 +70,12 @@ class OffCentreMass(HangingMass):
         fields["body_ipos"][:, body] = moment / fields["body_mass"][:, body, None]
 
 
-def weight(values, context, where, impedance):
+def weight(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
     """Return forces (m, steps, 1) [N] on the lift of masses, the first of values (m, p) [kg]."""
     return np.repeat(-9.81 * values[:, :1, None], len(context.step_time_s), axis=1)
 
 
-def moments(values, context, where, impedance):
+def moments(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
     """Return forces (m, steps, 3) [N, Nm] on lift, roll and pitch of parts, values (m, 6) of `OffCentreMass`."""
     mass, _, x, y, _, unbalanced = values.T
     # the arm turns about its own origin

@@ -14,6 +14,7 @@ from real2sim.effects.base import (
     Effect,
     EffectParameter,
     Fields,
+    InterfaceImpedance,
     Mechanism,
     Where,
     add_branch,
@@ -23,6 +24,7 @@ from real2sim.effects.base import (
     set_branch,
     stiffness,
 )
+from real2sim.effects.chains import Context
 from real2sim.effects.friction import FRICTION, LOSSES
 from real2sim.effects.planned import DrivenForce
 
@@ -40,12 +42,12 @@ class Elastoplastic(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"yield{i}_{where.element}" for i in range(len(self.travels))]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one yielding tendon per element."""
         for name in self._names(where):
             _yielding_tendon(spec, name, where)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the stiffness at which they yield at the force, limited to what the time step allows."""
         stiffness = values[:, 0] / values[:, 1] / self.travels.sum() * len(self.travels)
         share = np.minimum(stiffness, fields.stiffest(where.axis)) / len(self.travels)
@@ -89,12 +91,12 @@ class Maxwell(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"maxwell{i or ''}_{where.element}" for i in range(len(self._ratios))]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add hidden slide and tendon of each branch."""
         for name in self._names(where):
             add_branch(spec, name, where.joint())
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write stiffness and damping."""
         for name, ratio in zip(self._names(where), self._ratios, strict=True):
             set_branch(fields, name, values[:, 0] / len(self._ratios), values[:, 1] * ratio)
@@ -111,10 +113,10 @@ class Maxwell(Mechanism):
 class TwoTimes(Maxwell):
     """Two such branches, values (m, 4): stiffness of both, share of the slower, time constant of the faster, ratio."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(2)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write stiffness and damping."""
         stiffness, slow, fast, ratio = values.T
         for name, part, time in zip(self._names(where), (1 - slow, slow), (fast, fast * ratio), strict=True):
@@ -135,12 +137,12 @@ class BoucWen(DrivenForce):
         # while other effects are tried beside it, the same law is evaluated again and again
         self._planned = lru_cache(maxsize=256)(self._plan)
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add yielding tendons and a motor."""
         self._springs.build(spec, where)
         super().build(spec, where)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write springs of the law's stiffness that yield along its loading curve."""
         self._springs.set(fields, where, impedance, self._yielding(values))
 
@@ -149,7 +151,9 @@ class BoucWen(DrivenForce):
         travel = 1 / np.maximum(values[:, 1], 1e-3)
         return np.stack([values[:, 0] * travel * self._springs.travels.mean(), travel], axis=1)
 
-    def force(self, values, context, where, impedance):
+    def force(
+        self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
+    ) -> np.ndarray:
         """Return the difference of the law from its springs along the measured coordinate."""
         q = CubicSpline(context.time_s, context.coordinates[:, where.axis])(context.step_time_s)
         path = q.tobytes()
@@ -157,7 +161,7 @@ class BoucWen(DrivenForce):
 
     def _plan(self, row: tuple[float, ...], path: bytes) -> np.ndarray:
         values, q = np.array([row]), np.frombuffer(path)
-        return (self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[0]
+        return np.asarray((self._springs.along(q, self._yielding(values)) - bouc_wen(values, q))[0])
 
 
 class FlowingMaxwell(DrivenForce):
@@ -167,16 +171,16 @@ class FlowingMaxwell(DrivenForce):
     the law from it is planned along the measured coordinate.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self._linear = Maxwell()
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add hidden slide, tendon and motor."""
         self._linear.build(spec, where)
         super().build(spec, where)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the linear branch."""
         self._linear.set(fields, where, impedance, values)
 
@@ -184,11 +188,13 @@ class FlowingMaxwell(DrivenForce):
         """Move the hidden slide of the linear branch."""
         self._linear.relax(fields, where, position)
 
-    def force(self, values, context, where, impedance):
+    def force(
+        self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
+    ) -> np.ndarray:
         """Return the difference of the law from its linear branch along the measured coordinate."""
         q = CubicSpline(context.time_s, context.coordinates[:, where.axis])(context.step_time_s)
         step = context.step_time_s[1] - context.step_time_s[0]
-        return (maxwell(values[:, :2], q, step) - eyring(values, q, step))[:, :, None]
+        return np.asarray((maxwell(values[:, :2], q, step) - eyring(values, q, step))[:, :, None])
 
 
 def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
@@ -198,7 +204,7 @@ def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     """
     stiffness, time = values.T
     fades = np.exp(-step_s / time)
-    return stiffness[:, None] * _stretched(q, lambda e: e * fades, len(values))
+    return np.asarray(stiffness[:, None] * _stretched(q, lambda e: e * fades, len(values)))
 
 
 # Stretch in lengths at which a flowing dashpot is as fast as the linear one of its time constant
@@ -215,9 +221,8 @@ def eyring(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     stiffness, time, length = values.T
     fades = np.exp(-step_s * _AS_LINEAR / np.sinh(_AS_LINEAR) / time)
     both = 2 * length
-    return stiffness[:, None] * _stretched(
-        q, lambda e: both * np.arctanh(np.tanh(e / both) * fades), len(values)
-    )
+    stretch = _stretched(q, lambda e: both * np.arctanh(np.tanh(e / both) * fades), len(values))
+    return np.asarray(stiffness[:, None] * stretch)
 
 
 def _stretched(q: np.ndarray, flown: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from real2sim.effects.base import AtRest, Effect, EffectParameter, excursion
+from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Where, excursion
+from real2sim.effects.chains import Context
 from real2sim.effects.planned import PlannedForce
 
 # Confusable effects
 DRIFTS = ("migration", "marker_drift", "creep")
 
 
-def ratchet(values, context, where, impedance):
+def ratchet(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
     """Return forces (m, steps, 1) [N, Nm] on the joint, values (m, 2) are threshold [m, rad] and rate [1/s]."""
     # the rest pose follows the coordinate beyond a threshold, at a rate, and never returns
     axis, dt = where.axis, context.time_s[1] - context.time_s[0]
@@ -29,20 +30,24 @@ def ratchet(values, context, where, impedance):
     return np.stack([np.interp(context.step_time_s, context.time_s, row) for row in force])[:, :, None]
 
 
-def wandering(values, context, where, impedance):
+def wandering(
+    values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
+) -> np.ndarray:
     """Return forces (m, steps, 1) [N, Nm] on the joint of a rest pose that drifts at rates (m, 1) [m/s, rad/s]."""
-    return impedance.k[:, where.axis, None, None] * values[:, None, :] * _since_motion(context)[:, None]
+    return np.asarray(
+        impedance.k[:, where.axis, None, None] * values[:, None, :] * _since_motion(context)[:, None]
+    )
 
 
-def settling(values, context, where, impedance):
+def settling(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
     """Return forces (m, steps, 1) [N, Nm] on the joint, values (m, 2) are way [m, rad] and time constant [s]."""
     gone = 1 - np.exp(-_since_motion(context) / values[:, 1:])
-    return (impedance.k[:, where.axis, None] * values[:, :1] * gone)[..., None]
+    return np.asarray((impedance.k[:, where.axis, None] * values[:, :1] * gone)[..., None])
 
 
-def _since_motion(context):
+def _since_motion(context: Context) -> np.ndarray:
     """Return the time (steps,) [s] since motion onset, 0 before."""
-    return np.maximum(context.step_time_s - context.time_s[context.start], 0.0)
+    return np.asarray(np.maximum(context.step_time_s - context.time_s[context.start], 0.0))
 
 
 _STAND = "quiet standing at three headings before and after"

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from real2sim.effects.base import Mechanism, Where
+from real2sim.effects.base import InterfaceImpedance, Mechanism, Where
+from real2sim.effects.chains import Context
 
 
 class DrivenForce(Mechanism):
@@ -31,7 +32,7 @@ class DrivenForce(Mechanism):
     def _targets(self, where: Where) -> tuple[str, ...]:
         return self._joints or (where.joint(),)
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add the motors."""
         for name, joint in zip(self._names(where), self._targets(where), strict=True):
             actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
@@ -48,7 +49,9 @@ class PlannedForce(DrivenForce):
         super().__init__(joints)
         self._plan = plan
 
-    def force(self, values, context, where, impedance):
+    def force(
+        self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
+    ) -> np.ndarray:
         """Return the planned forces."""
         return self._plan(values, context, where, impedance)
 

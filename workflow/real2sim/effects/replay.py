@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -87,7 +88,7 @@ class EffectReplay(Replay):
         bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
         settled: bool = False,
         system: System | None = None,
-        **replay,
+        **replay: Any,
     ):
         self.effects, self._settled = tuple(effects), settled
         self.system = system or shipped_system("strap")
@@ -371,7 +372,7 @@ class EffectReplay(Replay):
         k, d = self._impedance.k[:m, None, :3], self._impedance.d[:m, None, :3]
         force = k * context.coordinates[:start, :3]
         force = -(force + d * context.rates[:start, :3])
-        return np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start
+        return np.asarray(np.einsum("nij,mnj->mi", context.pelvis_rotation[:start, :2], force) / start)
 
     def _begin(self, pulled: np.ndarray) -> dict[int, Answer]:
         """Controllers up to the start, where the strap pulled with (m, 2) [N], by number of their effect."""
@@ -408,7 +409,7 @@ class EffectReplay(Replay):
         force = done["qfrc_passive"][..., dofs] + done["qfrc_constraint"][..., dofs]
         for axis, actuators in enumerate(self._on_strap):
             force[..., axis] += done["actuator_force"][..., actuators].sum(axis=-1)
-        return np.einsum("nij,mnj->mni", self._pelvis_at_steps[window], force)
+        return np.asarray(np.einsum("nij,mnj->mni", self._pelvis_at_steps[window], force))
 
     @cached_property
     def _on_strap(self) -> list[np.ndarray]:
@@ -469,7 +470,7 @@ class EffectReplay(Replay):
         robot = model.jnt_dofadr[self._robot_joints]
         held = fields["jnt_stiffness"][:, self._robot_joints]
         # the robot stood by the pelvis as it does now, which looked elsewhere
-        heading = context.pelvis_rotation[0] @ context.neutral_rotation.T
+        heading = context.pelvis_rotation[0] @ context.neutral.rotation.T
         position = np.atleast_2d(self._starts(m)[0])
         given = self._jacobian(model, position[0])
         follow = -np.linalg.solve(given[:, self._dofs], given[:, robot])

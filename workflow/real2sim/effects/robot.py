@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -10,6 +12,7 @@ from real2sim.effects.base import (
     Effect,
     EffectParameter,
     Fields,
+    InterfaceImpedance,
     Mechanism,
     Where,
     add_branch,
@@ -27,7 +30,7 @@ class RobotImpedance(Mechanism):
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Scale, with the step's centring of the damping."""
         factor, h = np.exp(values), fields.model.opt.timestep
         for column, name in enumerate(self._joints):
@@ -53,12 +56,12 @@ class RobotRelaxation(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"series_{name}_{where.element}" for name in self._joints]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add a branch per joint."""
         for name, joint in zip(self._names(where), self._joints, strict=True):
             add_branch(spec, name, joint)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write stiffness and damping; at rest where the joint's own spring is."""
         for name, joint, ln in zip(self._names(where), self._joints, values[:, :-1].T, strict=True):
             number = fields.model.joint(joint).id
@@ -81,12 +84,12 @@ class YieldBeyondWheels(Mechanism):
         """Return the slide that the log shows instead of each joint."""
         return {joint: f"wheels_{joint}_{where.element}" for joint in self._joints}
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add a slide and a tendon per joint."""
         for joint, name in self.logged(where).items():
             add_branch(spec, name, joint)
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Move the impedance from the joint to its slide, and write the spring between."""
         model, h = fields.model, fields.model.opt.timestep
         for (joint, name), ln in zip(self.logged(where).items(), values.T, strict=True):
@@ -105,7 +108,7 @@ class YieldBeyondWheels(Mechanism):
 class SlackBeyondWheels(YieldBeyondWheels):
     """As `YieldBeyondWheels`, with play: values are ln of stiffness and then half of the play [m, rad], by joint."""
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Give the spring of each joint a dead band."""
         joints = len(self._joints)
         super().set(fields, where, impedance, values[:, :joints])
@@ -123,7 +126,7 @@ def _arm(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     return spec.joint(ARM_JOINTS[0]).parent
 
 
-def _carry(spec: mujoco.MjSpec, body: mujoco.MjsBody, carrying: list[dict]) -> None:
+def _carry(spec: mujoco.MjSpec, body: mujoco.MjsBody, carrying: list[dict[str, Any]]) -> None:
     """Add joints with springs and dampers that carry a body with its own joints.
 
     MuJoCo appends joints, and a later one turns with the earlier ones: the body's own are taken off and put back.
@@ -162,7 +165,7 @@ class Rocking(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"rocking_{axis}_{where.element}" for axis in ("roll", "pitch")]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add two hinges on the floor below the middle of the base."""
         arm = _arm(spec)
         base = np.array([arm.pos[0], arm.pos[1], arm.pos[2] + arm.parent.pos[2]])
@@ -172,7 +175,7 @@ class Rocking(Mechanism):
             spec, arm, [{"name": name, "type": hinge, "axis": axis, "pos": -base} for name, axis in joints]
         )
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write springs, dampers and inertia."""
         _set_carrying(fields, self._names(where), values)
         for name in self._names(where):
@@ -189,13 +192,13 @@ class Bending(Mechanism):
     def _names(self, where: Where) -> list[str]:
         return [f"bending_{axis}_{where.element}" for axis in "xy"]
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add two slides that carry the arm."""
         joints = zip(self._names(where), np.eye(3)[:2], strict=True)
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         _carry(spec, _arm(spec), [{"name": name, "type": slide, "axis": axis} for name, axis in joints])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write springs and dampers."""
         _set_carrying(fields, self._names(where), values)
 

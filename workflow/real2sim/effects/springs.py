@@ -14,6 +14,8 @@ from real2sim.effects.base import (
     AtRest,
     Effect,
     EffectParameter,
+    Fields,
+    InterfaceImpedance,
     Mechanism,
     Where,
     add_tendon,
@@ -21,9 +23,12 @@ from real2sim.effects.base import (
     excursion,
     quadratic_stiffness,
 )
+from real2sim.effects.chains import Context
 from real2sim.effects.planned import DrivenForce
 
 # Confusable effects
+# One number, or one a simulation (m,)
+Share = float | np.ndarray
 SHAPES = ("slack", "one_sided", "stiffening", "asymmetric_stiffness", "joint_limit")
 
 
@@ -35,10 +40,10 @@ class SplitSpring(Mechanism):
 
     replaces_spring = True
 
-    def __init__(self, shape: Callable[[np.ndarray, Where], tuple]):
+    def __init__(self, shape: Callable[[np.ndarray, Where], tuple[Share, Share, Share, Share]]):
         self._shape = shape
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add two fixed tendons over the joint."""
         joint = where.joint()
         for half in ("below", "above"):
@@ -46,7 +51,7 @@ class SplitSpring(Mechanism):
                 spec, f"{half}_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-FAR, FAR]
             )
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write dead bands and stiffness of both tendons; the joint's own spring is off."""
         axis = where.axis
         low, high, lower, upper = self._shape(values, where)
@@ -69,7 +74,7 @@ class SoftDeadBand(Mechanism):
 
     _PARTS = (-1.0, 0.0, 1.0)
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add three fixed tendons over the joint."""
         joint = where.joint()
         for i in range(len(self._PARTS)):
@@ -77,7 +82,7 @@ class SoftDeadBand(Mechanism):
                 spec, f"band{i}_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[0, 0]
             )
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write dead bands and stiffness of the parts; the joint's own spring is off."""
         axis = where.axis
         half_width, softness = values.T
@@ -93,14 +98,14 @@ class OneSided(Mechanism):
 
     replaces_spring = True
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one fixed tendon over the joint."""
         joint = where.joint()
         add_tendon(
             spec, f"one_sided_{where.element}", {joint: 1.0}, stiffness=[1, 0, 0], springlength=[-FAR, FAR]
         )
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write both springs: the joint keeps the rest, the tendon's free side is the dead band."""
         axis, index = where.axis, fields.tendon(f"one_sided_{where.element}")
         place, share = values.T
@@ -115,7 +120,7 @@ class Polynomial(Mechanism):
     def __init__(self, name: str, term: int):
         self._name, self._term = name, term
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the coefficient."""
         axis = where.axis
         index = fields.joint(axis) if self._name.startswith("jnt") else fields.dof(axis)
@@ -132,7 +137,7 @@ class ExponentialSpring(Mechanism):
 
     _KNOTS = np.array([0.15, 0.5, 1.0, 2.0, 3.2, 4.5])
 
-    def __init__(self):
+    def __init__(self) -> None:
         reach = np.linspace(0, 6, 601)[1:]
         beyond = np.maximum(reach[:, None] - self._KNOTS, 0)
         springs = np.column_stack([reach**3, beyond, beyond**3])
@@ -143,14 +148,14 @@ class ExponentialSpring(Mechanism):
             ]
         )
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add a fixed tendon over the joint for each dead band."""
         joint = where.joint()
         for i in range(len(self._KNOTS)):
             name = f"steeper{i}_{where.element}"
             add_tendon(spec, name, {joint: 1.0}, stiffness=[1, 0, 1], springlength=[-FAR, FAR])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the joint's cubic term, and dead bands and both terms of the tendons."""
         axis, n = where.axis, len(self._KNOTS)
         length, toe = values.T
@@ -172,12 +177,12 @@ class EvenSpring(Mechanism):
     Without an end the polynomial alone would make the interface lose all stiffness on one side.
     """
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one fixed tendon over the joint."""
         joint = {where.joint(): 1.0}
         add_tendon(spec, f"straight_{where.element}", joint, stiffness=[1, 1, 0], springlength=[-FAR, FAR])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the joint's even term; beyond its dead band the tendon cancels the excess of b q^2 over its tangent."""
         axis, index = where.axis, fields.tendon(f"straight_{where.element}")
         quadratic, end = values.T
@@ -203,7 +208,7 @@ class LooseDamper(DrivenForce):
         super().__init__()
         self._spring, self._tight, self._always = spring, tight, always
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add the spring, and an actuator that damps by its control."""
         self._spring.build(spec, where)
         super().build(spec, where)
@@ -212,18 +217,20 @@ class LooseDamper(DrivenForce):
             damper.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
             damper.gainprm[:3] = 0, 0, -1
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the spring; the joint keeps the damping that is at work everywhere."""
         self._spring.set(fields, where, impedance, values)
         axis = where.axis
         fields["dof_damping"][:, fields.dof(axis)] = self._always(values) * impedance.d[:, axis]
 
-    def force(self, values, context, where, impedance):
+    def force(
+        self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
+    ) -> np.ndarray:
         """Return the damping that is at work beyond that of the joint."""
         axis = where.axis
         q = CubicSpline(context.time_s, context.coordinates[:, axis])(context.step_time_s)
         share = self._tight(values, q, where.side) - self._always(values)[:, None]
-        return (impedance.d[:, axis, None] * share)[..., None]
+        return np.asarray((impedance.d[:, axis, None] * share)[..., None])
 
 
 _LADDER = "one motion at three amplitudes, from smaller than the slack upward"

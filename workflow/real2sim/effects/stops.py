@@ -10,7 +10,10 @@ from real2sim.effects.base import (
     AtRest,
     Effect,
     EffectParameter,
+    Fields,
+    InterfaceImpedance,
     Mechanism,
+    Where,
     add_tendon,
     cubic_stiffness,
     excursion,
@@ -32,7 +35,7 @@ class Stop(Mechanism):
 
     weighed = True
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one tendon, limited far off."""
         add_tendon(
             spec,
@@ -44,7 +47,7 @@ class Stop(Mechanism):
             solimp_limit=[_STOP_IMPEDANCE, _STOP_IMPEDANCE, 0.001, 0.5, 2.0],
         )
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write its place, and its rates in units of the inertia against it."""
         index, axis = fields.tendon(f"stop_{where.element}"), where.axis
         place, stiffness, ratio = values.T
@@ -59,12 +62,12 @@ class Stop(Mechanism):
 class GentleStop(Mechanism):
     """A stop that begins gently, with the square of the distance beyond: values are place and curvature, (m, 2)."""
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one tendon over the joint, its dead band without an end."""
         joint = {where.joint(): 1.0}
         add_tendon(spec, f"gentle_{where.element}", joint, stiffness=[1, 1, 0], springlength=[-FAR, FAR])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the end of the dead band and the square, which is even, so that its sign is the side's."""
         index = fields.tendon(f"gentle_{where.element}")
         place, curvature = values.T
@@ -76,12 +79,12 @@ class GentleStop(Mechanism):
 class GentleStops(Mechanism):
     """Stops on both sides that begin with the cube of the distance beyond: values are clearance and cubic, (m, 2)."""
 
-    def build(self, spec, where):
+    def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one tendon over the joint, whose dead band is the clearance."""
         joint = {where.joint(): 1.0}
         add_tendon(spec, f"stops_{where.element}", joint, stiffness=[1, 0, 1], springlength=[-FAR, FAR])
 
-    def set(self, fields, where, impedance, values):
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write dead band and cube."""
         index = fields.tendon(f"stops_{where.element}")
         clearance, cubic = values.T

@@ -368,7 +368,7 @@ class SystemReplay:
             out[:, :, column] = self._drive_force(fields, done, output.joint, m)
         warning = self._batch.warning[:m]
         out[warning.any(axis=tuple(range(1, warning.ndim)))] = np.nan
-        return out
+        return np.asarray(out)
 
     def _drive_force(self, fields: Fields, done: Mapping[str, np.ndarray], joint: str, m: int) -> np.ndarray:
         """Force (m, nstep) that moves a driven joint along its path: inertia times acceleration, less other forces."""

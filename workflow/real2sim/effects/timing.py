@@ -10,13 +10,13 @@ from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter
-from real2sim.effects.chains import Chains
+from real2sim.effects.chains import Chains, Context, OutputChain
 
 # Confusable effects
 DELAYS = ("replay_lag", "sync_offset", "clock_drift", "filter_lag")
 
 
-def earlier_pelvis(values, context):
+def earlier_pelvis(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the path (n, 3, 3), (n, 3) of a segment that was measured late by a lag (1,) [s]."""
     # the measured segment is late: it was there already
     t = np.clip(context.time_s + values[0], context.time_s[0], context.time_s[-1])
@@ -29,12 +29,12 @@ def earlier_pelvis(values, context):
     )
 
 
-def later_pelvis(values, context):
+def later_pelvis(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the path (n, 3, 3), (n, 3) of a segment that was measured early by an offset (1,) [s]."""
     return earlier_pelvis(-values, context)
 
 
-def _at_times(paths, time_s, wanted):
+def _at_times(paths: np.ndarray, time_s: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     # paths (m, n, ...) at other times: what lies outside stays at the end
     clipped = np.clip(wanted, time_s[0], time_s[-1])
     out = np.empty_like(paths)
@@ -43,63 +43,64 @@ def _at_times(paths, time_s, wanted):
     return out
 
 
-def late_markers(paths, values, context):
+def late_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     """Return paths (m, n, ...) later by offsets (m, 1) [s]."""
     return _at_times(paths, context.time_s, context.time_s[None] - values[:, :1])
 
 
-def drifting_clock(paths, values, context):
+def drifting_clock(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     """Return paths (m, n, ...) on a clock that drifts by (m, 1)."""
     t = context.time_s - context.time_s[0]
     return _at_times(paths, context.time_s, context.time_s[0] + t[None] * (1 + values[:, :1]))
 
 
-def _butterworth(paths, order, cutoff_hz, rate_hz):
+def _butterworth(paths: np.ndarray, order: int, cutoff_hz: float, rate_hz: float) -> np.ndarray:
     """Return paths (n, ...) after a causal low-pass in equilibrium at the first sample."""
     sos = butter(order, cutoff_hz, fs=rate_hz, output="sos")
-    return paths[:1] + sosfilt(sos, paths - paths[:1], axis=0)
+    return np.asarray(paths[:1] + sosfilt(sos, paths - paths[:1], axis=0))
 
 
-def _trailing_mean(paths, window_s, rate_hz):
+def _trailing_mean(paths: np.ndarray, window_s: float, rate_hz: float) -> np.ndarray:
     """Return the mean of paths (n, ...) over the last ``window_s``, the first sample standing for what was before."""
     time_s = np.arange(len(paths)) / rate_hz
     moved = CubicSpline(time_s, paths - paths[:1]).antiderivative()
-    return paths[:1] + (moved(time_s) - moved(np.maximum(time_s - window_s, 0.0))) / window_s
+    swept = moved(time_s) - moved(np.maximum(time_s - window_s, 0.0))
+    return np.asarray(paths[:1] + swept / window_s)
 
 
-def _rate(context):
-    return 1 / (context.time_s[1] - context.time_s[0])
+def _rate(context: Context) -> float:
+    return float(float(1 / (context.time_s[1] - context.time_s[0])))
 
 
-def filtered_markers(order: int):
+def filtered_markers(order: int) -> OutputChain:
     """Return the output chain of a causal Butterworth low-pass of an order, values (m, 1) are its cut-offs [Hz]."""
 
-    def filtered(paths, values, context):
+    def filtered(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
         rows = zip(paths, values[:, 0], strict=True)
         return np.array([_butterworth(path, order, cutoff, _rate(context)) for path, cutoff in rows])
 
     return filtered
 
 
-def lag_of_filter(order: int):
+def lag_of_filter(order: int) -> Callable[[np.ndarray], np.ndarray]:
     """Return the lag (m,) [s] of such a filter at low frequencies as a function of its cut-offs (m, 1) [Hz]."""
     poles = np.pi * (2 * np.arange(1, order + 1) - 1) / (2 * order)
     return lambda values: np.sin(poles).sum() / (2 * np.pi * values[:, 0])
 
 
-def averaged_markers(paths, values, context):
+def averaged_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     """Return paths (m, n, ...) as means over trailing windows (m, 1) [s]."""
     rows = zip(paths, values[:, 0], strict=True)
     return np.array([_trailing_mean(path, window, _rate(context)) for path, window in rows])
 
 
-def late_log(lag_of: Callable[[np.ndarray], np.ndarray]):
+def late_log(lag_of: Callable[[np.ndarray], np.ndarray]) -> OutputChain:
     """Return the chain of a machine log that was aligned by motion to filtered markers: joints (m, n, j) as late.
 
     ``lag_of`` values (m, p) is their lag (m,) at low frequencies [s].
     """
 
-    def late(joints, values, context):
+    def late(joints: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
         return _at_times(joints, context.time_s, context.time_s[None] - lag_of(values)[:, None])
 
     return late

@@ -9,13 +9,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
-from real2sim.effects.chains import Chains
+from real2sim.effects.chains import Chains, Context
 
 # Newton iterations in which the bone's angles are found whose skin shows the measured ones
 _BONE_ROUNDS = 6
 
 
-def soft_tissue(values, context):
+def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
     # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
     start = context.pelvis_rotation[0]
@@ -29,7 +29,7 @@ def soft_tissue(values, context):
     return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
 
 
-def wobbling_tissue(values, context):
+def wobbling_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
     """Return the path of the bone under skin that rings, values (20,): of `soft_tissue`, lag [s], mobility [s^2].
 
     Skin on a spring and a damper follows the bone as a mass does: its own pose, plus its rate times the lag, plus its
@@ -45,9 +45,9 @@ def wobbling_tissue(values, context):
     return soft_tissue(values[:18], replace(context, pelvis_rotation=rotation, pelvis_position=bone[:, :3]))
 
 
-def _from_cardan(angles):
+def _from_cardan(angles: np.ndarray) -> Rotation:
     """Return rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
-    return Rotation.from_euler("ZYX", angles[:, ::-1])
+    return np.asarray(Rotation.from_euler("ZYX", angles[:, ::-1]))
 
 
 _SKIN = (

@@ -8,6 +8,7 @@ does. The pose is taken from those as long as it lasts: the replayed pelvis woul
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,11 +27,11 @@ class JumpRule:
 
     rate_hz: float
     cutoff_hz: float
-    options: dict
+    options: dict[str, Any]
 
     def reach(self, name: str) -> float:
         """Return an option that is a time [s], longer where the low-pass is slower and smears further."""
-        return float(self.options[name]) * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz)
+        return float(float(self.options[name]) * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz))
 
 
 def spikes(paths: np.ndarray, rule: JumpRule, sd: float | None = None) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -90,10 +91,10 @@ class Bands:
     log_standing_hz: tuple[float, float]
     log_moving_hz: tuple[tuple[float, float], ...]
     edges_hz: tuple[float, ...]
-    options: dict
+    options: dict[str, Any]
 
     @classmethod
-    def from_settings(cls, ingest: dict, options: dict) -> Bands:
+    def from_settings(cls, ingest: dict[str, Any], options: dict[str, Any]) -> Bands:
         """Return the bands for the slices ``ingest`` and ``diagnosis.noise`` of the configuration.
 
         Raises InputError where cut-off and rate leave none.
@@ -186,7 +187,7 @@ class NoiseModel:
     colour: np.ndarray
 
     @classmethod
-    def measure(cls, neutral: Path, ingest: dict, options: dict) -> NoiseModel:
+    def measure(cls, neutral: Path, ingest: dict[str, Any], options: dict[str, Any]) -> NoiseModel:
         """Return the model of the neutral trial in folder ``neutral`` (results/trials/<SUBJECT>/neutral).
 
         ``ingest`` and ``options`` are the slices ``ingest`` and ``diagnosis.noise`` of the configuration.
@@ -207,7 +208,7 @@ class NoiseModel:
             frequency = np.arange(samples) * self.bands.rate_hz / (2 * samples)
             louder = np.sqrt(colour[self.bands.band_of(frequency)])
             white = idct(dct(white, axis=0, norm="ortho") * louder[:, None, None], axis=0, norm="ortho")
-        return white
+        return np.asarray(white)
 
 
 def _check_rate(bands: Bands) -> None:

@@ -8,11 +8,12 @@ marker that slides a little is no reason for a gap.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from real2sim.effects.markers import slides
 from real2sim.geometry import pelvis_frame
+from real2sim.signals import steady_and_fading
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,9 @@ class Skin:
         return max(float(off @ off - self.seen @ self.seen), 0.0)
 
 
-def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options: dict) -> Skin | None:
+def skin_of(
+    time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options: dict[str, Any]
+) -> Skin | None:
     """Return what pelvis markers (n, 4, 3) [m, world] say, given where they are on the pelvis, ``shape`` (4, 3) [m].
 
     ``options`` is the slice ``diagnosis.skin`` of the configuration. None where too little of the trial shows all four.
@@ -59,7 +62,7 @@ def skin_of(time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options:
     off[~seen] = 0.0
     against = _against_rigid(shape)
     means = spans @ off.reshape(len(off), 12) @ against
-    laws = spans @ np.column_stack([np.ones(len(time_s)), *slides(time_s)])
+    laws = spans @ np.column_stack([np.ones(len(time_s)), *steady_and_fading(time_s)])
     normal = np.linalg.inv(laws.T @ laws)
     fit = normal @ laws.T
     left = means - laws @ (fit @ means)

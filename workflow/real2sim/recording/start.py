@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,7 @@ _STEP = 1e-5
 
 
 def at_first(
-    robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray, options: dict
+    robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray, options: dict[str, Any]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how far (6,) [m, rad] the robot's joints were, when first seen, from their mean while all stand; and SD.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.answer import Diagnosis, answer
 from real2sim.diagnosis.trials import Trials, search_both_ways
-from real2sim.provenance import fingerprint, provenance
+from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
 from real2sim.study.strap import strap_system
@@ -78,6 +78,10 @@ def strap_trials(
     return Trials(train.name, held_out.name, system, load, settings["diagnosis"], progress)
 
 
+def _print(subject: str, text: str) -> None:
+    print(f"{subject}: {text}", file=sys.stderr, flush=True)
+
+
 def diagnose(
     *,
     subject: str,
@@ -112,10 +116,7 @@ def diagnose(
     threads
         That simulate. The answer is the same bits with any number.
     """
-
-    def progress(text: str) -> None:
-        print(f"{subject}: {text}", file=sys.stderr, flush=True)
-
+    progress = partial(_print, subject)
     settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
     outcome = search_both_ways(
         strap_trials(
@@ -134,18 +135,22 @@ def diagnose(
     progress(f"verdict {outcome.decision.verdict}")
     result = answer(outcome, settings)
     if traces is not None:
-        traces.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table(result.traces()), traces, compression="zstd")
+        _write_traces(traces, result)
     about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
+    sources = _sources(train, held_out, limits, robot)
+    about |= {"refused_gates": refused_gates(gates or [])}
+    write_json(out, about | result.to_dict() | {"settings": settings, "provenance": sources})
+
+
+def _sources(train: Path, held_out: Path, limits: Path | None, robot: Path) -> Provenance:
+    """Return the files that an answer was made from, and by which code."""
     tables = [f / f"{table}.parquet" for f in (train, held_out) for table in ("pose", "markers", "robot")]
-    sources = provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
-    write_json(
-        out,
-        about
-        | {"refused_gates": refused_gates(gates or [])}
-        | result.to_dict()
-        | {"settings": settings, "provenance": sources},
-    )
+    return provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
+
+
+def _write_traces(path: Path, result: Diagnosis) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(result.traces()), path, compression="zstd")
 
 
 def _about(

@@ -24,6 +24,8 @@ from real2sim.system.description import System
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
 _SCALES = ("q", "v", "k", "d", "inertia")
+# Entries of diagnosis.json that are read
+_READ = ("subject", "verdict", "verdict_set", "parameters", "model", "robot_holds", "settings", "phantom")
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
@@ -84,19 +86,7 @@ def export_model(
         CSV of the training trial at the model's steps: controls by actuator, and where the interface sites then are
         [m, world].
     """
-    answer = read_json(
-        diagnosis,
-        (
-            "subject",
-            "verdict",
-            "verdict_set",
-            "parameters",
-            "model",
-            "robot_holds",
-            "settings",
-            "phantom",
-        ),
-    )
+    answer = read_json(diagnosis, _READ)
     settings = answer["settings"]
     noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
     effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)

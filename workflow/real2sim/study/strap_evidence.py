@@ -323,7 +323,7 @@ class StrapEvidence:
 
     def _from_start(self, joints: np.ndarray) -> np.ndarray:
         """Robot joints (m, n, c) relative to their mean while the person stands, as the log is taken."""
-        return joints - joints[:, : self.context.start].mean(axis=1, keepdims=True)
+        return np.asarray(joints - joints[:, : self.context.start].mean(axis=1, keepdims=True))
 
     def _without_gaps(self, error: np.ndarray) -> np.ndarray:
         """Residuals (m, n, c) with straight lines where pelvis or channel is unknown, and a while after a gap."""
@@ -341,7 +341,7 @@ class StrapEvidence:
         known = np.isfinite(self.trial.interface.reshape(-1, 6))
         if self.robot is not None:
             known = np.hstack([known, np.isfinite(self.robot)])
-        return known & self.trial.usable[:, None]
+        return np.asarray(known & self.trial.usable[:, None])
 
     def j(self, paths: np.ndarray) -> np.ndarray:
         """J of the paper (m,) of simulated marker paths (m, n, 2, 3)."""
@@ -401,7 +401,7 @@ class StrapEvidence:
         Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
         """
         error, drawn = self._noise(parameters, draws, seed, effects, x)
-        return np.sum(self.whiten(error + drawn) ** 2, axis=1)
+        return np.asarray(np.sum(self.whiten(error + drawn) ** 2, axis=1))
 
     def _noise(
         self,
@@ -541,4 +541,4 @@ class StrapEvidence:
         error = (paths[1:] - paths[:1] - markers).reshape(draws, -1, 6)
         if self.robot is not None:
             error = np.concatenate([error, self._from_start(joints[1:] - joints[:1]) - logged], axis=2)
-        return error
+        return np.asarray(error)

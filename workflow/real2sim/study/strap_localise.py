@@ -104,7 +104,7 @@ def _change(gap: Gap, difference: np.ndarray) -> np.ndarray:
     """What J would be of a difference (n, 2, 3) [m] of paths alone, per sample."""
     known = np.isfinite(gap.measured)
     position, velocity = _energy(gap.cost, np.where(known, difference, 0.0))
-    return (position + velocity).sum(axis=(1, 2))
+    return np.asarray((position + velocity).sum(axis=(1, 2)))
 
 
 def _bands(gap: Gap, error: np.ndarray) -> list[dict[str, Any]]:

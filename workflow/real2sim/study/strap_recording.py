@@ -10,7 +10,7 @@ import numpy as np
 
 from real2sim import signals
 from real2sim.effects.base import Scales
-from real2sim.effects.chains import Context, markers_of
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
 from real2sim.geometry import interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
@@ -115,7 +115,7 @@ def _read(
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
-    skin = skin_of(trial.time_s, trial.pelvis_markers, context.pelvis_shape, options["skin"])
+    skin = skin_of(trial.time_s, trial.pelvis_markers, context.shapes.segment, options["skin"])
     return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped), qd, let_go
 
 
@@ -143,16 +143,15 @@ def _context(
         spikes(trial.interface, rule),
         coordinates,
         rates,
-        *mean_pelvis(neutral),
-        pelvis_shape(trial),
-        _rest_shape(trial),
+        NeutralPose(*mean_pelvis(neutral)),
+        MarkerShapes(pelvis_shape(trial), _rest_shape(trial)),
         twin.body("interface").pos,
     )
 
 
 def _large(values: np.ndarray) -> np.ndarray:
     """Large excursions (6,): the 95th percentile of the size."""
-    return np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6)
+    return np.asarray(np.maximum(np.percentile(np.abs(values), 95, axis=0), 1e-6))
 
 
 def _rest_shape(trial: Trial) -> np.ndarray:

@@ -6,13 +6,11 @@ sides of t_x, t_y and r_z, ``back`` and ``right`` the negative ones, all counted
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from real2sim.artefacts import (
     finite_or_none,
@@ -26,6 +24,7 @@ from real2sim.artefacts import (
 from real2sim.configuration import read_yaml
 from real2sim.errors import InputError
 from real2sim.recording.subjects import parse_trial
+from real2sim.recording.trial import read_pose
 from real2sim.study.statistics.piecewise import (
     PiecewiseFit,
     breakpoint_interval,
@@ -74,27 +73,6 @@ def normalised_tightness(
     Holds for either sense of the scale: with remaining strap length, ``tightest`` is the smaller number.
     """
     return (np.asarray(level_cm, float) - selected) / ((tightest - loosest) / 2)
-
-
-def read_pose(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read columns ``time_s`` and ``q_*`` of a pose table, and what its metadata says of the trial.
-
-    Raises InputError where interface coordinates are missing or wholly masked.
-    """
-    table = pq.read_table(path)
-    metadata = json.loads((table.schema.metadata or {}).get(b"real2sim", b"{}"))
-    names = [n for n in table.column_names if n == "time_s" or n.startswith("q_")]
-    columns = {n: table[n].to_numpy(zero_copy_only=False).astype(float) for n in names}
-    for name in ("time_s", "q_tx", "q_ty", "q_rz"):
-        if name not in columns or not np.isfinite(columns[name]).any():
-            raise InputError(
-                path,
-                f"column {name}",
-                "no finite value",
-                "pelvis and interface markers in this trial",
-                "Export IF_L and IF_R with the trial, or name it under exclude in subject.yaml.",
-            )
-    return columns, metadata
 
 
 def _extremes(values: np.ndarray, scale: float) -> tuple[float, float]:

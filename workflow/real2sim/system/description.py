@@ -308,13 +308,13 @@ class System:
     def values(self, z: np.ndarray) -> np.ndarray:
         """Parameters (..., n) [SI] of searched numbers (..., n): logarithms where the parameter is searched so."""
         if self._log.all():
-            return np.exp(z)
+            return np.asarray(np.exp(z))
         return np.where(self._log, np.exp(np.where(self._log, z, 0.0)), z)
 
     def searched(self, values: np.ndarray) -> np.ndarray:
         """Inverse of `values`."""
         if self._log.all():
-            return np.log(values)
+            return np.asarray(np.log(values))
         return np.where(self._log, np.log(np.where(self._log, values, 1.0)), values)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

@@ -48,7 +48,7 @@ def rigid_pose(places: np.ndarray, markers: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Solver:
             mujoco.mj_integratePos(model, data.qpos, step, 1.0)
             if np.abs(step).max(initial=0.0) < _SMALL:
                 break
-        return data.qpos.copy()
+        return np.asarray(data.qpos.copy())
 
     def rates(self, twist: np.ndarray | None, logged: dict[str, float]) -> np.ndarray:
         """Return joint rates (nv,) at the last solution, for the segment's twist (6,) and rates of logged joints."""

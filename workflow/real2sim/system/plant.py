@@ -3,8 +3,8 @@
 The pelvis hangs at the end of the robot's own chain, behind the six strap joints in reverse (interface, hinges z y x,
 slides x y z, pelvis), as a body of immense inertia. Its path is imposed by a position and velocity servo with
 acceleration feed-forward. The strap's wrench moves it by less than a micrometre, so it is a kinematic input, and no
-loop has to be closed: the six strap joints are exactly the six coordinates q of the contract, their stiffness, damping
-and limits are MuJoCo's own. A weld would err by 0.2-0.4 mm (contract, section 5) and cost about twice the time.
+loop has to be closed: the six strap joints are exactly the six coordinates q of the interface, their stiffness, damping
+and limits are MuJoCo's own. A weld would err by 0.2-0.4 mm and cost about twice the time (benchmarks/welded.py).
 
 Steps are centred: the semi-implicit Euler step is a leapfrog whose velocities live half a step late, and implicit
 joint damping d acts as an extra inertia d h / 2 on it. An armature of -d h / 2 on each damped joint removes that
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -56,7 +57,7 @@ def load_robot(path: Path) -> mujoco.MjSpec:
     Raises
     ------
     InputError
-        Where the file does not compile or a body, joint or site of the contract is missing.
+        Where the file does not compile or a body, joint or site that the plant needs is missing.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -80,7 +81,7 @@ def load_robot(path: Path) -> mujoco.MjSpec:
 
 def interface_site_offset(robot: mujoco.MjModel) -> np.ndarray:
     """Middle of the two interface sites in the interface body's frame, (3,) [m]."""
-    return np.mean([robot.site(name).pos for name in INTERFACE_SITES], axis=0)
+    return np.asarray(np.mean([robot.site(name).pos for name in INTERFACE_SITES], axis=0))
 
 
 def robot_pose_for(robot: mujoco.MjModel, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -107,11 +108,11 @@ def robot_pose_for(robot: mujoco.MjModel, rotation: np.ndarray, position: np.nda
         # half the skew part is sin(angle) axis: exact at convergence, contracting up to 90 degrees
         error = np.concatenate([position - point, vector / 2])
         if np.abs(error).max() < 1e-12:
-            return data.qpos[address].copy()
+            return np.asarray(data.qpos[address].copy())
         mujoco.mj_jac(robot, data, jac_p, jac_r, point, body)
         data.qpos[address] += np.linalg.solve(np.vstack([jac_p, jac_r])[:, dofs], error)
     if np.abs(error).max() < 1e-9:
-        return data.qpos[address].copy()
+        return np.asarray(data.qpos[address].copy())
     raise ValueError(f"the robot twin cannot reach the interface pose at {np.round(position, 3)} m")
 
 
@@ -125,7 +126,7 @@ def interface_pose_at(robot: mujoco.MjModel, joints: np.ndarray) -> tuple[np.nda
     return rotation, data.body("interface").xpos + rotation @ interface_site_offset(robot)
 
 
-def impedances(robot_settings: dict, controller: str) -> dict[str, dict[str, float]]:
+def impedances(robot_settings: dict[str, Any], controller: str) -> dict[str, dict[str, float]]:
     """Stiffness and damping of the robot's joints by name, from the slice ``robot`` of the configuration."""
     base, arm = robot_settings[controller], robot_settings["arm"]
     return {
@@ -170,8 +171,8 @@ def _scale_inertia(spec: mujoco.MjSpec, key: str, factor: float) -> None:
 
 def plant_spec(
     robot: Path,
-    robot_settings: dict,
-    plant_settings: dict,
+    robot_settings: dict[str, Any],
+    plant_settings: dict[str, Any],
     rest: RestPose,
     limits: JointLimits | None,
     start: np.ndarray,
@@ -207,18 +208,52 @@ def plant_spec(
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     # the arm works about gravity balance and the base in the plane: weight does no work on the plant
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    for name, impedance in impedances(robot_settings, controller).items():
+    _hold_robot(spec, impedances(robot_settings, controller), start)
+    middle = (np.array(spec.site("interface_left").pos) + np.array(spec.site("interface_right").pos)) / 2
+    pelvis = hang_segment(spec.body("interface"), "pelvis", "pelvis", middle, rest)
+    _add_strap(pelvis, limits, plant_settings)
+    drive_segment(spec, "pelvis", RestPose(reference_rotation, reference_origin), h)
+    for name in _SENSORS:
+        spec.add_sensor(
+            name=f"position_{name}",
+            type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
+    return spec
+
+
+def _hold_robot(spec: mujoco.MjSpec, impedance_of: dict[str, dict[str, float]], start: np.ndarray) -> None:
+    """Give the robot's joints their controller's impedance, at rest at joint positions ``start`` (6,)."""
+    h = spec.option.timestep
+    for name, impedance in impedance_of.items():
         joint = spec.joint(name)
         joint.stiffness = [impedance["stiffness"], 0, 0]
         joint.damping = [impedance["damping"], 0, 0]
         joint.armature = joint.armature - impedance["damping"] * h / 2
         joint.springref = start[ROBOT_JOINTS.index(name)]
-    interface = spec.body("interface")
-    middle = (np.array(spec.site("interface_left").pos) + np.array(spec.site("interface_right").pos)) / 2
+
+
+def hang_segment(
+    carrier: mujoco.MjsBody, name: str, site: str, middle: np.ndarray, rest: RestPose
+) -> mujoco.MjsBody:
+    """Return a new body of immense inertia behind the interface, without joints, with a site at its origin.
+
+    Parameters
+    ----------
+    carrier
+        The body of the interface.
+    name, site
+        Of the new body and of its site.
+    middle
+        (3,) where the interface's joints turn, in the carrier [m].
+    rest
+        Pose of the interface in the new body where all joints are zero.
+    """
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, rest.rotation.T.flatten())
-    pelvis = interface.add_body(
-        name="pelvis",
+    segment = carrier.add_body(
+        name=name,
         pos=middle,
         quat=quat,
         mass=PELVIS_MASS,
@@ -226,6 +261,12 @@ def plant_spec(
         inertia=[PELVIS_INERTIA] * 3,
         explicitinertial=True,
     )
+    segment.add_site(name=site, pos=-rest.position)
+    return segment
+
+
+def _add_strap(pelvis: mujoco.MjsBody, limits: JointLimits | None, plant_settings: dict[str, Any]) -> None:
+    """Add the strap's six joints in reverse, hinges z y x before slides x y z, and their limits."""
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     axes = dict(zip(AXES, [*np.eye(3), *np.eye(3)], strict=True))
     for axis in ("rz", "ry", "rx", "tx", "ty", "tz"):
@@ -238,31 +279,27 @@ def plant_spec(
             joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             joint.solref_limit = plant_settings["limit_solref"]
             joint.solimp_limit = plant_settings["limit_solimp"]
-    pelvis.add_site(name="pelvis", pos=-rest.position)
-    mujoco.mju_mat2Quat(quat, reference_rotation.flatten())
-    spec.worldbody.add_site(name="pelvis_reference", pos=reference_origin, quat=quat)
-    kp, kd = servo_gains(h)
-    for i in range(6):
+
+
+def drive_segment(spec: mujoco.MjSpec, site: str, frame: RestPose, timestep: float) -> None:
+    """Add a position and velocity servo on the six coordinates of a segment's site in a frame of the world."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, frame.rotation.flatten())
+    spec.worldbody.add_site(name=f"{site}_reference", pos=frame.position, quat=quat)
+    kp, kd = servo_gains(timestep)
+    for i, axis in enumerate(AXES):
         inertia = PELVIS_MASS if i < 3 else PELVIS_INERTIA
         spec.add_actuator(
-            name=f"pelvis_{AXES[i]}",
+            name=f"{site}_{axis}",
             trntype=mujoco.mjtTrn.mjTRN_SITE,
-            target="pelvis",
-            refsite="pelvis_reference",
+            target=site,
+            refsite=f"{site}_reference",
             gear=np.eye(6)[i],
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             gainprm=[inertia * kp] + [0] * 9,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
             biasprm=[0, -inertia * kp, -inertia * kd] + [0] * 7,
         )
-    for name in _SENSORS:
-        spec.add_sensor(
-            name=f"position_{name}",
-            type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=name,
-        )
-    return spec
 
 
 def compiled(spec: mujoco.MjSpec, robot: Path) -> mujoco.MjModel:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -86,8 +87,8 @@ class Replay:
         self,
         *,
         robot: Path,
-        robot_settings: dict,
-        plant_settings: dict,
+        robot_settings: dict[str, Any],
+        plant_settings: dict[str, Any],
         time_s: np.ndarray,
         pelvis_rotation: np.ndarray,
         pelvis_position: np.ndarray,
@@ -129,7 +130,13 @@ class Replay:
         command[:, :6] = servo_command(self.drive)
         self._control = np.tile(command, (nsim, 1, 1))
         self.nsim = nsim
-        self._batch = untimed_batch(self.model, nsim, threads)
+        self._make_batch(threads)
+        self._start_pose = StartPose(start_joints, start_rotation, start_position, rest)
+        self._start_state = self._state_at(self.drive.position[0], self.drive.velocity[0], self._start_pose)
+
+    def _make_batch(self, threads: int) -> None:
+        """Make the batch of simulations, views of the fields that a run sets, and memory for what it records."""
+        self._batch = untimed_batch(self.model, self.nsim, threads)
         joints = [self.model.joint(name) for name in STRAP_JOINTS]
         self._dofs = np.array([j.dofadr[0] for j in joints])
         self._joints = np.array([j.id for j in joints])
@@ -137,12 +144,10 @@ class Replay:
         self._damping = self._batch.expand("dof_damping")
         self._armature = self._batch.expand("dof_armature")
         self._own_armature = self.model.dof_armature[self._dofs].copy()
-        self._start_pose = StartPose(start_joints, start_rotation, start_position, rest)
-        self._start_state = self._state_at(self.drive.position[0], self.drive.velocity[0], self._start_pose)
         adr = self.model.sensor("position_interface_left").adr[0]
         self._columns = slice(adr, adr + 6)
         self._pelvis_columns = slice(adr + 6, adr + 9)
-        self._sensors = np.empty((nsim, self.nstep, self.model.nsensordata))
+        self._sensors = np.empty((self.nsim, self.nstep, self.model.nsensordata))
 
     @cached_property
     def _twin(self) -> mujoco.MjModel:

@@ -21,7 +21,7 @@ from real2sim.recording.quality.gates import GATES, Session, judge, session_of
 from real2sim.recording.quality.measure import Measured, RawTrial, measure
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, worst
 from real2sim.recording.subjects import Subject, TrialFiles, parse_trial, read_subject
-from real2sim.study.tightness import read_pose
+from real2sim.recording.trial import read_pose
 
 COLUMNS = (
     "subject",

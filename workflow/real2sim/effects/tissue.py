@@ -47,7 +47,7 @@ def wobbling_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, n
 
 def _from_cardan(angles: np.ndarray) -> Rotation:
     """Return rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
-    return np.asarray(Rotation.from_euler("ZYX", angles[:, ::-1]))
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
 
 
 _SKIN = (

@@ -343,7 +343,7 @@ def diagnosed(system: System, settings: dict, progress: Callable[[str], None]) -
     held_out.held_out = True
     pair = Pair(train, held_out, bounds)
     found = attribute(pair, z, settings["search"], progress, places(scales, system.moved))
-    plain, sets = candidates_of(found, settings["search"])
+    plain, sets = candidates_of(found, settings)
     return decide(plain, sets, found.samples, settings["calibration"]), found, z
 
 

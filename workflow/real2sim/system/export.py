@@ -7,9 +7,9 @@ with what was simulated, field by field: what the format cannot hold is an error
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from typing import Protocol
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np

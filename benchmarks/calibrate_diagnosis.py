@@ -104,15 +104,17 @@ def pack(constants: dict[str, float]) -> np.ndarray:
     return np.array([np.log(max(constants[k], 1e-6)) for k in SCALES] + [constants[k] for k in SHIFTS])
 
 
-def unpack(x: np.ndarray) -> dict[str, float]:
-    """Constants of the searched numbers."""
+def unpack(x: np.ndarray, present: dict[str, float]) -> dict[str, float]:
+    """Constants of the searched numbers, and the ``present`` ones that are chosen and not fitted."""
     values = [*np.exp(x[: len(SCALES)]), *x[len(SCALES) :]]
-    return dict(zip((*SCALES, *SHIFTS), map(float, values), strict=True))
+    return present | dict(zip((*SCALES, *SHIFTS), map(float, values), strict=True))
 
 
-def loss(x: np.ndarray, rows: list[Example], null_weight: float, start: np.ndarray) -> float:
+def loss(
+    x: np.ndarray, rows: list[Example], null_weight: float, start: np.ndarray, present: dict[str, float]
+) -> float:
     """Mean of minus ln of the truth's probability, weighted, and the pull to the start."""
-    constants = unpack(x)
+    constants = unpack(x, present)
     weights = np.array([null_weight if r.case["stratum"].startswith("null") else 1.0 for r in rows])
     terms = -np.log(np.maximum([r.probability(constants) for r in rows], LEAST))
     sd = np.array([PULL_SD["scale"]] * len(SCALES) + [PULL_SD["shift"]] * len(SHIFTS))
@@ -120,10 +122,11 @@ def loss(x: np.ndarray, rows: list[Example], null_weight: float, start: np.ndarr
     return float((weights @ terms + pull) / weights.sum())
 
 
-def fit(rows: list[Example], start: np.ndarray, null_weight: float) -> np.ndarray:
+def fit(rows: list[Example], start: np.ndarray, null_weight: float, present: dict[str, float]) -> np.ndarray:
     """Constants by Powell's method from the present ones: the loss has kinks where the best candidate changes."""
     options = {"maxiter": 40, "xtol": 1e-2, "ftol": 1e-4}
-    return np.asarray(minimize(loss, start, (rows, null_weight, start), method="Powell", options=options).x)
+    about = (rows, null_weight, start, present)
+    return np.asarray(minimize(loss, start, about, method="Powell", options=options).x)
 
 
 def right(row: Example, constants: dict[str, float]) -> tuple[bool, str]:
@@ -166,7 +169,7 @@ def main() -> None:
     config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
     present = config["diagnosis"]["calibration"]
     start = pack(present)
-    print(f"{len(rows)} cases, loss {loss(start, rows, args.null_weight, start):.4f}")
+    print(f"{len(rows)} cases, loss {loss(start, rows, args.null_weight, start, present):.4f}")
     print(json.dumps(table(rows, present), indent=1))
     constants = present
     if not args.keep:
@@ -174,10 +177,11 @@ def main() -> None:
         held = []
         for fold in np.array_split(order, args.folds):
             inside = [rows[i] for i in order if i not in set(fold)]
-            x = fit(inside, start, args.null_weight)
-            held.append([loss(v, [rows[i] for i in fold], args.null_weight, v) for v in (start, x)])
+            x = fit(inside, start, args.null_weight, present)
+            outside = [rows[i] for i in fold]
+            held.append([loss(v, outside, args.null_weight, v, present) for v in (start, x)])
         print(f"cross-validated loss: {np.mean(held, axis=0)[0]:.4f} -> {np.mean(held, axis=0)[1]:.4f}")
-        constants = unpack(fit(rows, start, args.null_weight))
+        constants = unpack(fit(rows, start, args.null_weight, present), present)
         print(json.dumps({k: float(f"{v:.3g}") for k, v in constants.items()}, indent=1))
         print(json.dumps(table(rows, constants), indent=1))
     if args.wrong:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from real2sim.diagnosis import corrected as module
-from real2sim.diagnosis.corrected import corrected
+from real2sim.diagnosis.corrected import Correction, corrected
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 
 from tests.unit.simulated_effects import STRAP
+from tests.unit.test_coupling import CONFIG
 
 SAMPLES, NOISE = 4000, 0.5
 TRUTH = np.linspace(-1.0, 1.0, 12)
+RULE = replace(Correction.from_options(CONFIG["diagnosis"]["search"]), draws=8, iterations=8, seed=3)
 
 
 class _Measured:
@@ -59,7 +63,7 @@ def _fits(monkeypatch, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
     evidence = _Measured(noise)
     plain = np.linalg.lstsq(evidence.x, evidence.y, rcond=None)[0]
     pair = Pair(evidence, evidence, STRAP)
-    return (plain, *corrected(pair, Hypothesis((), plain, (1.0, 1.0)), draws=8, iterations=8, seed=3))
+    return (plain, *corrected(pair, Hypothesis((), plain, (1.0, 1.0)), RULE))
 
 
 def test_what_noise_takes_is_given_back(monkeypatch):
@@ -88,7 +92,7 @@ def test_what_only_noise_tells_is_told_as_not_known(monkeypatch):
     evidence.y = evidence.x @ TRUTH + 0.1 * rng.standard_normal(SAMPLES)
     plain = np.linalg.lstsq(evidence.x, evidence.y, rcond=None)[0]
     pair = Pair(evidence, evidence, STRAP)
-    _, covariance = corrected(pair, Hypothesis((), plain, (1.0, 1.0)), draws=8, iterations=1, seed=3)
+    _, covariance = corrected(pair, Hypothesis((), plain, (1.0, 1.0)), replace(RULE, iterations=1))
     curvature = np.linalg.inv(evidence.x.T @ evidence.x) * evidence.unit**2
     assert covariance[0, 0] > 100 * curvature[0, 0]
     assert covariance[1, 1] < 10 * curvature[1, 1]

@@ -12,7 +12,7 @@ import pytest
 from real2sim.diagnosis import trials as trials_module
 from real2sim.diagnosis.attribute import Attribution, finished
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision
-from real2sim.diagnosis.intervals import PLANT_SD_LN, parameter_verdicts
+from real2sim.diagnosis.intervals import parameter_verdicts
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Trials, conclude, is_shown_by_held_out_alone, search_both_ways
@@ -170,7 +170,7 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     sd, bias = np.full(13, 0.05), np.zeros(13)
     bias[4] = 0.2
     monkeypatch.setattr(
-        "real2sim.diagnosis.intervals.corrected", lambda pair, fit, **_: (fit.z - bias, np.diag(sd**2))
+        "real2sim.diagnosis.intervals.corrected", lambda pair, fit, rule: (fit.z - bias, np.diag(sd**2))
     )
     sd[1], sd[3] = 0.2, 0.9
     system = strap_system(ROBOT, CONFIG)
@@ -189,7 +189,7 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     assert [row.unbiased for row in rows[:4]] == pytest.approx(np.exp(z[:4]))
     assert rows[4].unbiased == pytest.approx(np.exp(z[4] - 0.2))
     assert rows[4].ci95[0] < np.exp(z[4] - 0.2) < rows[4].ci95[1]
-    wide = np.hypot(0.05, PLANT_SD_LN)
+    wide = np.hypot(0.05, CONFIG["diagnosis"]["report"]["plant_sd_ln"])
     assert rows[0].ci95 == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
     assert rows[2].ci95[1] == pytest.approx(np.exp(upper[2]))
     worse = replace(fit, chi2=(9000.0, 900.0))

@@ -23,6 +23,8 @@ from tests.unit.simulated_effects import SCALES, STRAP
 from tests.unit.test_coupling import CONFIG
 
 CALIBRATION = CONFIG["diagnosis"]["calibration"]
+MOST_LAWS, LEAST = CALIBRATION["most_laws_of_axis"], CALIBRATION["ambiguity_probability"]
+CERTAIN = CONFIG["diagnosis"]["report"]["next_trial_certain"]
 
 
 def test_no_gap_is_none():
@@ -83,7 +85,7 @@ def test_a_cause_that_leaves_nearly_half_of_the_gap_is_unknown_however_far_it_is
 def test_noise_that_is_a_little_louder_than_measured_is_no_unknown_cause():
     plain = Candidate((), 0, (5193.0, 5550.0))
     sets = [Candidate((name,), 2, (5150.0, 5500.0)) for name in ("slack", "creep", "tilt")]
-    assert unexplained(plain, sets, (4992, 4488)) < 0.5
+    assert unexplained(plain, sets, (4992, 4488), CALIBRATION) < 0.5
     assert decide(plain, sets, (4992, 4488), CALIBRATION).verdict == NONE
 
 
@@ -91,13 +93,13 @@ def test_fast_and_slow_relaxation_of_one_axis_are_a_cause_outside_the_catalogue(
     relaxation, creep = (next(e for e in EFFECTS if e.name == name) for name in ("relaxation", "creep"))
     fast, slow = (Placed(e, e.places(STRAP)[2], SCALES) for e in (relaxation, creep))
     elsewhere = Placed(creep, creep.places(STRAP)[1], SCALES)
-    assert is_makeshift((slow, fast), leaves_noise=True)
-    assert not is_makeshift((fast, elsewhere), leaves_noise=False)
+    assert is_makeshift((slow, fast), leaves_noise=True, most_laws_of_axis=MOST_LAWS)
+    assert not is_makeshift((fast, elsewhere), leaves_noise=False, most_laws_of_axis=MOST_LAWS)
     # two time constants are all there is to know where they leave nothing, and a spectrum where they do
     both = next(e for e in EFFECTS if (e.name, e.form) == ("relaxation", "_two_times"))
     two = Placed(both, both.places(STRAP)[2], SCALES)
-    assert not is_makeshift((two,), leaves_noise=True)
-    assert is_makeshift((two,), leaves_noise=False)
+    assert not is_makeshift((two,), leaves_noise=True, most_laws_of_axis=MOST_LAWS)
+    assert is_makeshift((two,), leaves_noise=False, most_laws_of_axis=MOST_LAWS)
     plain = Candidate((), 0, (90_000.0, 95_000.0))
     sets = [
         Candidate(("relaxation",), 2, (20_000.0, 22_000.0)),
@@ -114,12 +116,18 @@ def test_three_laws_of_one_axis_are_a_cause_outside_the_catalogue():
         effect = next(e for e in EFFECTS if e.name == name)
         return Placed(effect, next(w for w in effect.places(STRAP) if w.axes == (axis,)), SCALES)
 
-    assert not is_makeshift((placed("migration", 2), placed("joint_limit", 2)), leaves_noise=True)
+    assert not is_makeshift(
+        (placed("migration", 2), placed("joint_limit", 2)), leaves_noise=True, most_laws_of_axis=MOST_LAWS
+    )
     assert is_makeshift(
-        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 2)), leaves_noise=True
+        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 2)),
+        leaves_noise=True,
+        most_laws_of_axis=MOST_LAWS,
     )
     assert not is_makeshift(
-        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 1)), leaves_noise=True
+        (placed("migration", 2), placed("joint_limit", 2), placed("coulomb", 1)),
+        leaves_noise=True,
+        most_laws_of_axis=MOST_LAWS,
     )
 
 
@@ -143,13 +151,17 @@ def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
     quiet = Candidate((), 0, (2_827.0, 2_721.0))
     at_rest = decide(quiet, [Candidate(("tilt",), 2, (2_827.0, 2_721.0))], (2880, 2880), CALIBRATION)
     assert (let_go.verdict, at_rest.verdict) == ("tilt", NONE)
-    mixed = averaged(at_rest, let_go, share_of_other((5_548.0, 5_608.0), CALIBRATION["none_temperature"]))
+    mixed = averaged(
+        at_rest, let_go, share_of_other((5_548.0, 5_608.0), CALIBRATION["none_temperature"]), LEAST
+    )
     assert mixed.verdict == NONE
     assert mixed.group == (NONE, "tilt")
     assert mixed.probabilities["tilt"] == pytest.approx(1 / (1 + np.exp(60 / 80)), abs=0.01)
     assert sum(mixed.probabilities.values()) == pytest.approx(1)
-    assert next_trial(mixed) is not None
-    far = averaged(at_rest, let_go, share_of_other((5_548.0, 9_608.0), CALIBRATION["none_temperature"]))
+    assert next_trial(mixed, CERTAIN) is not None
+    far = averaged(
+        at_rest, let_go, share_of_other((5_548.0, 9_608.0), CALIBRATION["none_temperature"]), LEAST
+    )
     assert far.probabilities[NONE] == pytest.approx(at_rest.probabilities[NONE])
     assert far.group == (NONE,)
 
@@ -170,7 +182,7 @@ def test_what_the_data_leave_in_the_running_is_the_ambiguity_group():
     sets = [Candidate((name,), 1, (1010.0, chi2)) for name, chi2 in (("lugre", 1020.0), ("coulomb", 1030.0))]
     decision = decide(plain, sets, (1000, 1000), CALIBRATION)
     assert decision.group == ("lugre", "coulomb")
-    assert next_trial(decision) is not None
+    assert next_trial(decision, CERTAIN) is not None
 
 
 def test_two_causes_that_are_sure_together_need_no_further_trial():
@@ -184,7 +196,7 @@ def test_two_causes_that_are_sure_together_need_no_further_trial():
     assert decision.chosen == 0
     assert max(decision.probabilities.values()) < 0.9
     assert decision.group == (decision.verdict,)
-    assert next_trial(decision) is None
+    assert next_trial(decision, CERTAIN) is None
 
 
 def test_a_set_shares_its_probability_by_what_each_effect_earns():

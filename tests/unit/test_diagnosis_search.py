@@ -8,8 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis.attribute import (
-    OUT_OF_REACH,
-    QUIET_REFITS,
     _alone,
     _best_of_each,
     _first_of_each,
@@ -95,7 +93,7 @@ def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_to
     placed = Placed(effect, effect.places(STRAP)[1], SCALES)
     base = np.arange(14.0)
     middle = np.mean(STRAP.bounds(), axis=0)
-    z = _fresh_starts(placed, base, STRAP)
+    z = _fresh_starts(placed, base, STRAP, CONFIG["diagnosis"]["search"]["strengths"])
     assert {(row[1], row[7]) for row in z} == {(1.0, 7.0), (1.0, middle[7]), (middle[1], middle[7])}
     elsewhere = [i for i in range(14) if i not in (1, 7)]
     assert (z[:, elsewhere] == base[elsewhere]).all()
@@ -230,7 +228,7 @@ def test_where_there_is_no_gap_a_few_refits_are_enough():
     settings = CONFIG["diagnosis"]["search"]
     plain = Hypothesis((), np.zeros(12), (2800.0, 2800.0))
     shortlist = [_promise(Placed(e, e.places(STRAP)[0], SCALES), 2700.0) for e in EFFECTS[:9]]
-    for quiet, refits in ((True, QUIET_REFITS), (False, len(shortlist))):
+    for quiet, refits in ((True, settings["quiet_refits"]), (False, len(shortlist))):
         assert len(_alone(_Counting(1.5), shortlist, plain, settings, quiet=quiet)) == refits
 
 
@@ -241,7 +239,7 @@ def test_what_cannot_be_the_answer_any_more_is_not_refitted_but_rivals_are():
     first = ["coulomb", "tilt", "slack", "stiffening", "added_mass"]
     assert len(first) == settings["pair_rivals"]
     search = _Counting(100.0)
-    far = [_promise(places[name], 2880 + OUT_OF_REACH + 100) for name in ("preload", "lugre")]
+    far = [_promise(places[name], 2880 + settings["out_of_reach"] + 100) for name in ("preload", "lugre")]
     near = [_promise(places["sync_offset"], 3500.0)]
     _alone(
         search,

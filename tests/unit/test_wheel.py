@@ -116,7 +116,7 @@ def test_shipped_strap_compiles_from_the_installed_library(python, installed):
 
 
 def test_fingerprints_of_the_installed_library_are_the_checkouts(python):
-    modules = ("real2sim.study.fit", "real2sim.diagnosis.stage")
+    modules = ("real2sim.study.fit", "real2sim.study.diagnose")
     code = f"from real2sim.provenance import fingerprint; print(*map(fingerprint, {modules}))"
     assert python("-c", code) == [" ".join(map(fingerprint, modules))]
 
@@ -156,3 +156,17 @@ def test_no_module_looks_for_the_folders_of_a_checkout():
         "workflow/real2sim/provenance.py",
         "workflow/real2sim/system/description.py",
     ]
+
+
+def test_a_system_of_two_joints_described_away_from_the_checkout_is_diagnosed(installed, tmp_path):
+    """Dry friction in the elbow of an arm is named, and nothing where there is none; the description is short."""
+    script = ROOT / "tests" / "unit" / "two_joint_system.py"
+    text = script.read_text(encoding="utf-8")
+    described = text[text.index("# description begins") : text.index("# description ends")]
+    assert len(described.splitlines()) - 1 <= 40
+    done = _run(script, cwd=tmp_path, PYTHONPATH=str(installed))
+    assert done.returncode == 0, done.stdout
+    answers = json.loads(done.stdout.splitlines()[-1])
+    assert answers["0.6"][0] == "coulomb"
+    assert answers["0.0"][0] == "none"
+    assert min(probability for _, probability in answers.values()) > 0.9

@@ -10,13 +10,35 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from real2sim.api import Diagnosis, Fit, catalogue, diagnose, identify
+    from real2sim.errors import InputError
+    from real2sim.recording.table import Recording
     from real2sim.system.description import System
 
 __version__ = "0.1.0"
-__all__ = ["System", "__version__"]
+__all__ = [
+    "Diagnosis",
+    "Fit",
+    "InputError",
+    "Recording",
+    "System",
+    "__version__",
+    "catalogue",
+    "diagnose",
+    "identify",
+]
 
 # public name: module that defines it; the imports above tell type checkers the same
-_HOMES = {"System": "real2sim.system.description"}
+_HOMES = {
+    "Diagnosis": "real2sim.api",
+    "Fit": "real2sim.api",
+    "InputError": "real2sim.errors",
+    "Recording": "real2sim.recording.table",
+    "System": "real2sim.system.description",
+    "catalogue": "real2sim.api",
+    "diagnose": "real2sim.api",
+    "identify": "real2sim.api",
+}
 
 if not TYPE_CHECKING:  # a type checker would take any name for one that `__getattr__` has
 

@@ -19,12 +19,6 @@ from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.noise_floor import block_bootstrap_mean
 
-# Share of the floor below which J shows no gap that could be closed
-SMALLEST_GAP = 0.02
-# Probability from which the parameters of a cause have intervals
-TOLD = 0.005
-# Causes that are simulated once more for what they close, and shown whatever their probability
-SHOWN = 3
 _SCALES = ("q", "v", "k", "d", "inertia")
 
 
@@ -154,8 +148,9 @@ def answer(outcome: Outcome, settings: dict[str, Any]) -> Diagnosis:
         otherwise = _otherwise(other, under_other)
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
-            share = share_of_other(costs, options["calibration"]["none_temperature"])
-            decision = averaged(own, under_other, share)
+            constants = options["calibration"]
+            share = share_of_other(costs, constants["none_temperature"])
+            decision = averaged(own, under_other, share, constants["ambiguity_probability"])
     result = _Account(found, decision, settings).diagnosis(otherwise)
     if not share or other is None:
         return result
@@ -163,6 +158,9 @@ def answer(outcome: Outcome, settings: dict[str, Any]) -> Diagnosis:
     likelier = {
         n: share * p > (1 - share) * own.probabilities[n] for n, p in under_other.probabilities.items()
     }
+    # what is not probable enough for intervals keeps the values that it has
+    least = options["report"]["interval_probability"]
+    likelier = {n: more and decision.probabilities[n] >= least for n, more in likelier.items()}
     causes = _of_both_states(result.causes, theirs, likelier, decision.probabilities, other.initial_state)
     return replace(result, causes=causes)
 
@@ -176,13 +174,14 @@ def _of_both_states(
 ) -> list[Cause]:
     """Report each cause with the parameter values of the initial-state hypothesis that contributes most of it.
 
-    ``theirs`` are those of the other state, named ``state``; ``likelier`` whether that contributes more. A tilt of a
-    machine that is released has other values than one of a machine in equilibrium, in which it hardly shows.
+    ``theirs`` are those of the other state, named ``state``; ``likelier`` whether that contributes more, and enough to
+    be reported. A tilt of a machine that is released has other values than one of a machine in equilibrium, in which it
+    hardly shows.
     """
     taken = {
         c.effect: replace(c, probability=probabilities[c.effect], robot_holds=state)
         for c in theirs
-        if likelier[c.effect] and probabilities[c.effect] >= TOLD
+        if likelier[c.effect]
     }
     kept = [c for c in causes if c.effect not in taken]
     return sorted([*kept, *taken.values()], key=lambda c: -c.probability)
@@ -214,7 +213,7 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
     """Return what a hypothesis makes of a trial's observations, (n, ...)."""
     replay = evidence.replay(list(hypothesis.effects), 1)
     parameters = pair.system.values(hypothesis.base)[None]
-    return replay.run_effects(parameters, [x[None] for x in hypothesis.split()])[0][0]
+    return np.asarray(replay.run_effects(parameters, [x[None] for x in hypothesis.split()])[0][0])
 
 
 class _Account:
@@ -222,6 +221,7 @@ class _Account:
 
     def __init__(self, found: Found, decision: Decision, settings: dict[str, Any]):
         self._found, self._decision, self._settings = found, decision, settings
+        self._report: dict[str, Any] = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
         self._best = _chosen(found.attribution, decision)
         shown = found.pair.shown
@@ -246,7 +246,7 @@ class _Account:
             self._parameters(named),
             _considered(attribution, decision, self._pair.exchanged),
             baselines,
-            next_trial(decision),
+            next_trial(decision, self._report["next_trial_certain"]),
             otherwise,
             self._found,
             self._best,
@@ -281,7 +281,7 @@ class _Account:
         return {
             "stage": max(stages, key=lambda s: stages[s]),
             "stages": stages,
-            "axes": _axes(self._best, shown.axis_shares(self._plain_path)),
+            "axes": _axes(self._best, shown.axis_shares(self._plain_path), self._report["axis_share"]),
         } | shown.locate(self._plain_path, explained)
 
     def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
@@ -308,17 +308,18 @@ class _Account:
 
         What has hardly any probability gets no intervals.
         """
+        least, most = self._report["interval_probability"], self._report["detailed_causes"]
         out: list[Cause] = []
         seen: set[str] = set()
         for index in np.argsort(-self._decision.sets):
             hypothesis = self._attribution.hypotheses[index]
             for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
                 name = placed.effect.name
-                told = self._decision.probabilities[name] >= TOLD
-                if name in seen or (not told and len(out) >= SHOWN):
+                told = self._decision.probabilities[name] >= least
+                if name in seen or (not told and len(out) >= most):
                     continue
                 seen.add(name)
-                out.append(self._cause(hypothesis, placed, x, detailed=len(out) < SHOWN, told=told))
+                out.append(self._cause(hypothesis, placed, x, detailed=len(out) < most, told=told))
         return out
 
     def _cause(
@@ -360,7 +361,7 @@ class _Account:
         saved = np.bincount(sample, weights=rows[0] ** 2 - rows[1] ** 2)
         low, high = block_bootstrap_mean(saved * len(saved), round(evidence.rate_hz), 500, 0.95, 1)
         gap = base - self._floor
-        if gap < SMALLEST_GAP * self._floor:
+        if gap < self._report["smallest_gap"] * self._floor:
             # J cannot see the gap, though the whitened residuals may: a share of nothing is no number
             return {"gap_closed": None, "gap_closed_ci95": None}
         return {"gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
@@ -432,11 +433,11 @@ def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str
     return {rule: names[int(np.nanargmin(score))] for rule, score in scores.items()}
 
 
-def _axes(best: Hypothesis, measured: dict[str, float]) -> dict[str, float]:
-    """Axes of the cause where it has some, weighed by what is measured; what is measured where it has none."""
+def _axes(best: Hypothesis, measured: dict[str, float], added: float) -> dict[str, float]:
+    """Return axes of the cause where it has some, weighted by the measured share plus ``added``; else that share."""
     named = [axis for placed in best.effects for axis in placed.axes]
     if not named:
         return measured
-    weights = {axis: (1.0 if axis in named else 0.0) * (share + 0.05) for axis, share in measured.items()}
+    weights = {axis: (1.0 if axis in named else 0.0) * (share + added) for axis, share in measured.items()}
     total = sum(weights.values())
     return {axis: weight / total for axis, weight in weights.items()}

@@ -14,7 +14,7 @@ import numpy as np
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import Hypothesis, PlainResiduals
-from real2sim.diagnosis.search import KEEP, Pair, Screened, Search, conflict
+from real2sim.diagnosis.search import Pair, Screened, Search, conflict
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS, are_confusable
 from real2sim.inference import least_squares
@@ -22,16 +22,6 @@ from real2sim.system.description import System
 
 T = TypeVar("T")
 
-# Refits that say what is next best where no cause could earn its place
-QUIET_REFITS = 4
-# Where an effect leaves nothing but noise, others that promise to leave so much more chi-squared are not refitted
-OUT_OF_REACH = 2000.0
-# The same where it leaves less than this share of the gap, and others promise to leave so many times as much
-NEARLY_ALL, FAR_BEHIND = 0.05, 10.0
-# A law of so many constants has more than one valley
-MANY = 3
-# More laws than this on one axis stand for one that the catalogue does not hold
-MOST_LAWS = 2
 # A late clock, a late path and a filter leave equally little: where one explains everything, each of them may be true
 DELAY = "sync_offset"
 
@@ -73,11 +63,16 @@ def plain_fit(evidence: Evidence, system: System, start: np.ndarray, settings: d
     best, lowest = points[0], np.inf
     for point in points[np.argsort(costs)[:2]]:
         z, cost, _, _ = least_squares.minimise(
-            problem, point, np.arange(len(start)), iterations=settings["iterations"], ftol=1e-4, keep=KEEP
+            problem,
+            point,
+            np.arange(len(start)),
+            iterations=settings["iterations"],
+            ftol=1e-4,
+            keep=settings["keep_jacobian"],
         )
         if cost < lowest:
             best, lowest = z, cost
-    return best
+    return np.asarray(best)
 
 
 def is_doubtful(effects: Sequence[Placed]) -> bool:
@@ -88,17 +83,17 @@ def is_doubtful(effects: Sequence[Placed]) -> bool:
     return any(p.effect.indistinguishable for p in effects)
 
 
-def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool) -> bool:
+def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool, most_laws_of_axis: int) -> bool:
     """Whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
 
     Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
-    so are two time constants, but where these leave nothing they are all there is to know. Three laws patch any law of
-    one axis.
+    so are two time constants, but where these leave nothing they are all there is to know. More than
+    ``most_laws_of_axis`` laws fit any other law of one axis.
     """
     if not leaves_noise and is_doubtful(effects):
         return True
     laws = {(p.where.axes, p.effect.name) for p in effects if len(p.where.axes) == 1}
-    if any(sum(axes == other for other, _ in laws) > MOST_LAWS for axes, _ in laws):
+    if any(sum(axes == other for other, _ in laws) > most_laws_of_axis for axes, _ in laws):
         return True
     branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
     return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")
@@ -107,7 +102,7 @@ def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool) -> bool:
 def attribute(
     pair: Pair,
     start: np.ndarray,
-    settings: dict,
+    settings: dict[str, Any],
     progress: Callable[[str], None],
     places: Sequence[Placed] | None = None,
     calibration: Mapping[str, float] | None = None,
@@ -154,7 +149,7 @@ def attribute(
     return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
 
 
-def _converged(search: Search, plain: Hypothesis, best: Hypothesis, settings: dict) -> Hypothesis:
+def _converged(search: Search, plain: Hypothesis, best: Hypothesis, settings: dict[str, Any]) -> Hypothesis:
     """The best single effect refitted to the end, where it takes away nearly all of the gap and yet leaves some.
 
     What a refit that was cut short leaves, or the coarse time step of the search, is no second cause.
@@ -193,7 +188,7 @@ def _without_spikes(
 
 
 def _alone(
-    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict, *, quiet: bool
+    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict[str, Any], *, quiet: bool
 ) -> list[Hypothesis]:
     """Refits of single effects, best first; those that cannot be the answer any more are left out.
 
@@ -201,24 +196,31 @@ def _alone(
     Where the plain fit is ``quiet``, no cause could earn its place: a few refits say what is next best.
     """
     if quiet:
-        shortlist = shortlist[:QUIET_REFITS]
+        shortlist = shortlist[: settings["quiet_refits"]]
     found: list[Hypothesis] = []
     for screened in shortlist:
         best = min(found, key=lambda h: sum(h.chi2), default=plain)
         rival = any(_alike(placed, screened.effects[-1]) for placed in best.effects)
-        if len(found) >= settings["pair_rivals"] and not rival and _behind(search, screened, best, plain):
+        if (
+            len(found) >= settings["pair_rivals"]
+            and not rival
+            and _behind(search, screened, best, plain, settings)
+        ):
             continue
         found.append(_single(search, screened, plain))
     return sorted(_beside_best(search, found), key=lambda h: sum(h.chi2))
 
 
-def _behind(search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis) -> bool:
+def _behind(
+    search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis, settings: dict[str, Any]
+) -> bool:
     """Whether an effect promises so little beside a single one that explains all or nearly all that it is no answer."""
     n = search.samples[0]
     left, gap = (sum(h.chi2) - sum(search.samples) for h in (best, plain))
     if search.is_noise(best):
-        return screened.predicted > best.chi2[0] + OUT_OF_REACH
-    return left < NEARLY_ALL * gap and screened.predicted - n > FAR_BEHIND * (best.chi2[0] - n) + OUT_OF_REACH
+        return bool(screened.predicted > best.chi2[0] + settings["out_of_reach"])
+    far = settings["far_behind"] * (best.chi2[0] - n) + settings["out_of_reach"]
+    return bool(left < settings["nearly_all"] * gap and screened.predicted - n > far)
 
 
 def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
@@ -259,7 +261,7 @@ def _other_forms(
 
 
 def _other_laws(
-    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
 ) -> list[Hypothesis]:
     """Single effects, and on the axis of the best the laws it is mistaken for that the tangent promised nothing of.
 
@@ -277,7 +279,7 @@ def _other_laws(
 
 
 def _redrawn(
-    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
 ) -> list[Hypothesis]:
     """Single effects, and on the axis of the best its law and rivals of many constants, refitted from drawn starts.
 
@@ -289,7 +291,9 @@ def _redrawn(
     laws = [
         p
         for p in places
-        if _has_many_constants(p) and _rivals(best.effects[0], p) and _same_place(best.effects[0], p)
+        if _has_many_constants(p, settings["many_constants"])
+        and _rivals(best.effects[0], p)
+        and _same_place(best.effects[0], p)
     ]
     out = list(found)
     for law in laws:
@@ -298,9 +302,9 @@ def _redrawn(
     return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
 
 
-def _has_many_constants(law: Placed) -> bool:
-    """Whether a law of one axis has so many constants that a few starts may miss the best of them."""
-    return len(law.effect.parameters) >= MANY and len(law.where.axes) == 1
+def _has_many_constants(law: Placed, many: int) -> bool:
+    """Whether a law of one axis has so ``many`` constants that a few starts may miss the best of them."""
+    return len(law.effect.parameters) >= many and len(law.where.axes) == 1
 
 
 def _named(hypothesis: Hypothesis, member: int) -> dict[str, float]:
@@ -319,7 +323,7 @@ def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis
     return min([fitted, *again], key=lambda h: h.chi2[0])
 
 
-def _shortlist(screened: Sequence[Screened], settings: dict) -> list[Screened]:
+def _shortlist(screened: Sequence[Screened], settings: dict[str, Any]) -> list[Screened]:
     """The best places of every effect that promises anything, up to a number of refits."""
     taken: dict[str, int] = {}
     first: list[Screened] = []
@@ -340,7 +344,7 @@ def _pairs(
     singles: Sequence[Screened],
     found: Sequence[Hypothesis],
     everything: Sequence[Placed],
-    settings: dict,
+    settings: dict[str, Any],
     *,
     others: bool,
 ) -> tuple[list[Hypothesis], list[Placed]]:
@@ -420,7 +424,7 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _swapped(
-    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
 ) -> list[Hypothesis]:
     """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
 
@@ -442,7 +446,7 @@ def _swapped(
         rivals = [effects for effects in rivals if not conflict(effects)]
         starts = [search.fresh(effects, base) for effects in rivals]
         for i, effects in enumerate(rivals):
-            if _has_many_constants(effects[-1]) and settings["redraws"]:
+            if _has_many_constants(effects[-1], settings["many_constants"]) and settings["redraws"]:
                 drawn, costs = search.drawn(effects, base, near, settings["redraws"])
                 starts[i] = min(starts[i], (drawn[0], float(costs[0])), key=lambda start: start[1])
         order = sorted(range(len(rivals)), key=lambda i: starts[i][1])[: settings["swap_refits"]]
@@ -526,7 +530,7 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return out
 
 
-def finished(pair: Pair, hypothesis: Hypothesis, settings: dict) -> Hypothesis:
+def finished(pair: Pair, hypothesis: Hypothesis, settings: dict[str, Any]) -> Hypothesis:
     """A hypothesis refitted until it converged; the old one where that did not help the training trial."""
     if hypothesis.converged:
         return hypothesis
@@ -544,7 +548,7 @@ def _grow(
     found: Sequence[Hypothesis],
     promising: Sequence[Placed],
     everything: Sequence[Placed],
-    settings: dict,
+    settings: dict[str, Any],
     progress: Callable[[str], None],
 ) -> list[Hypothesis]:
     """Third and further effects (or axes of one) on top of the best set, while each earns much of what is left.

@@ -14,7 +14,9 @@ sample, while residuals here are whitened and carry the parameters of effects an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +25,37 @@ from real2sim.diagnosis.search import Pair
 
 # Step of the ln-parameters for derivatives of what noise does: the same draws on either side, so a small one is exact
 _STEP_LN = 1e-3
-# Share of what the residuals tell about a direction that is left to it at least, however much of it noise may tell
-_LEAST_SHARE = 0.02
-# Longest correction of an ln-parameter in one iteration, and the correction in SD at which it ends
-_LONGEST, _ENOUGH_SD = 0.7, 0.1
-# As long as no ln-parameter has moved further, what noise does there is reckoned from where it was simulated
-_NEAR = 0.1
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How far the bias by noise of the drive is taken off: keys ``corrected_*`` of ``diagnosis.search``.
+
+    ``draws`` of the noise and their ``seed``; ``iterations`` at most; ``longest_ln``, the longest step of an
+    ln-parameter; ``enough_sd``, the step in SD at which the iteration ends; ``near_ln``, how far an ln-parameter may
+    move before the noise is simulated anew; ``least_share`` of its information that a direction keeps.
+    """
+
+    draws: int
+    iterations: int
+    seed: int
+    longest_ln: float
+    enough_sd: float
+    near_ln: float
+    least_share: float
+
+    @classmethod
+    def from_options(cls, search: Mapping[str, Any]) -> Correction:
+        """Return the rule of the slice ``diagnosis.search`` of the configuration."""
+        return cls(
+            search["corrected_draws"],
+            search["corrected_iterations"],
+            search["seed"],
+            search["corrected_longest_ln"],
+            search["corrected_enough_sd"],
+            search["corrected_near_ln"],
+            search["corrected_least_share"],
+        )
 
 
 def noise_terms(
@@ -50,9 +77,7 @@ def noise_terms(
     return slope, normal
 
 
-def corrected(
-    pair: Pair, hypothesis: Hypothesis, *, draws: int, iterations: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
+def corrected(pair: Pair, hypothesis: Hypothesis, rule: Correction) -> tuple[np.ndarray, np.ndarray]:
     """``z`` (n + p,) of a converged hypothesis without the bias by noise of the pelvis, and its covariance.
 
     The strap's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
@@ -60,7 +85,7 @@ def corrected(
     """
     problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     everything = np.arange(len(hypothesis.z))
-    shaken = pair.train.shaken(draws, seed)
+    shaken = pair.train.shaken(rule.draws, rule.seed)
 
     def noise(point: np.ndarray) -> np.ndarray:
         return pair.train.whiten(shaken(pair.system.values(point)))
@@ -68,39 +93,39 @@ def corrected(
     z = hypothesis.z.copy()
     n = len(hypothesis.base)
     seen, there = np.full(n, np.inf), (np.empty(0), np.empty((0, 0)))
-    for iteration in range(iterations + 1):
+    for iteration in range(rule.iterations + 1):
         r, jacobian = problem.with_jacobian(z, everything)
         slope, normal = jacobian.T @ r, jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += 1e-9
-        if np.abs(z[:n] - seen).max() > _NEAR:
+        if np.abs(z[:n] - seen).max() > rule.near_ln:
             seen, there = z[:n], noise_terms(noise, z[:n])
         noise_slope, noise_normal = there
         if not np.isfinite(noise_normal).all():
             return z, np.asarray(np.linalg.inv(normal))
         slope[:n] -= noise_slope + noise_normal @ (z[:n] - seen)
-        inverse = _inverse(normal, noise_normal)
+        inverse = _inverse(normal, noise_normal, rule.least_share)
         # whitened residuals have unit variance: the meat of the sandwich is what they tell with their noise
         covariance = inverse @ normal @ inverse
-        if iteration == iterations:
+        if iteration == rule.iterations:
             break
-        step = np.clip(-inverse @ slope, -_LONGEST, _LONGEST)
+        step = np.clip(-inverse @ slope, -rule.longest_ln, rule.longest_ln)
         moved = np.clip(z + step, problem.lower, problem.upper)
         if not np.isfinite(problem.costs(moved[None])[0]):
             break
-        done = np.all(np.abs(moved - z) < _ENOUGH_SD * np.sqrt(np.diag(covariance)))
+        done = np.all(np.abs(moved - z) < rule.enough_sd * np.sqrt(np.diag(covariance)))
         z = moved
         if done:
             break
     return z, covariance
 
 
-def _inverse(normal: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Inverse of the normal matrix less what noise tells, no direction below a share of what it was."""
+def _inverse(normal: np.ndarray, noise: np.ndarray, least_share: float) -> np.ndarray:
+    """Inverse of the normal matrix less what noise tells, no direction below ``least_share`` of what it was."""
     # in the coordinates in which the normal matrix is the identity
     root = np.linalg.inv(np.linalg.cholesky(normal))
     own = np.zeros_like(normal)
     own[: len(noise), : len(noise)] = noise
     told, directions = np.linalg.eigh(root @ own @ root.T)
-    left = np.maximum(1 - told, _LEAST_SHARE)
+    left = np.maximum(1 - told, least_share)
     back = root.T @ directions
     return np.asarray((back / left) @ back.T)

@@ -3,8 +3,8 @@
 Every refitted set of effects is scored by what it leaves of chi-squared on the training and the held-out trial. The
 scores become probabilities by a softmax whose temperature grows with what even the best set leaves over: where the
 model is not exact, small differences mean nothing. `none` is the plain plant; `unknown` grows with the share of the gap
-that nothing in the catalogue explains, and the more so where different effects explain the rest equally badly. The few
-constants are fitted on development cases (config, ``diagnosis.calibration``).
+that nothing in the catalogue explains, and the more so where different effects explain the rest equally badly. The
+constants are in the configuration, ``diagnosis.calibration``.
 """
 
 from __future__ import annotations
@@ -20,16 +20,6 @@ NONE, UNKNOWN = "none", "unknown"
 
 # Effects that no inexact law of another effect looks like: single samples that jump
 ISOLATED = ("outliers",)
-# Probability from which an effect is still in the running
-IN_THE_RUNNING = 0.02
-# Probability below which the likeliest single law does not put `none` in question
-QUESTIONABLE = 0.05
-# What noise may leave above its expectation, in SD of chi-squared, before it counts as unexplained
-GRANTED_SD = 2.0
-# ... and beside that, as a share of the expectation: the level of the noise itself is measured to about a twentieth
-GRANTED_SHARE = 0.1
-# However clearly one effect is ahead, this much counts as belonging to others
-LEAST_SCATTER = 0.25
 
 
 @dataclass(frozen=True)
@@ -63,14 +53,15 @@ class Decision:
     chosen: int | None
 
 
-def unexplained(plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int]) -> float:
+def unexplained(
+    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
+) -> float:
     """Share of the gap that even the best set leaves, less what noise may leave: 0 where all of it is explained."""
     total, n = sum(plain.chi2), sum(samples)
-    best = min((sum(c.chi2) + 2 * c.parameters for c in candidates), default=total)
+    best = min((sum(x.chi2) + 2 * x.parameters for x in candidates), default=total)
     spread = np.sqrt(2 * n)
-    return float(
-        max(min(best, total) - (1 + GRANTED_SHARE) * n - GRANTED_SD * spread, 0.0) / max(total - n, spread)
-    )
+    left = min(best, total) - (1 + c["granted_share"]) * n - c["granted_sd"] * spread
+    return float(max(left, 0.0) / max(total - n, spread))
 
 
 def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> float:
@@ -84,13 +75,15 @@ def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mappi
 def is_out_of_reach(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> bool:
     """Whether the plain plant leaves so little that even a law which explained all of it would not be believed.
 
-    Given chi-squared of the plain plant on both trials; two SD of what noise leaves are granted to that law.
+    Given chi-squared of the plain plant on both trials; ``granted_sd`` of what noise leaves are granted to that law.
     """
     weights = np.array([c["train_weight"], 1.0])
-    gain = float(weights @ (np.array(plain) - samples)) + GRANTED_SD * float(
+    gain = float(weights @ (np.array(plain) - samples)) + c["granted_sd"] * float(
         np.sqrt(weights**2 @ (2 * np.array(samples)))
     )
-    return (c["none_gain"] - gain) / c["none_temperature"] > np.log(1 / QUESTIONABLE - 1)
+    return bool(
+        (c["none_gain"] - gain) / c["none_temperature"] > np.log(1 / c["questionable_probability"] - 1)
+    )
 
 
 def _left(candidate: Candidate, c: Mapping[str, float]) -> float:
@@ -131,8 +124,10 @@ def logits(
     # odds against all laws together: that many of them compete is no reason to believe in one of them
     of_laws = [row for row, x in zip(rows, candidates, strict=True) if _laws(x)]
     unknown = c["unknown"] + float(np.logaddexp.reduce(of_laws) if of_laws else 0.0)
-    unknown += c["unknown_unexplained"] * np.log(max(unexplained(plain, candidates, samples), 1e-4))
-    unknown += c["unknown_scatter"] * np.log(max(scatter, LEAST_SCATTER))
+    unknown += c["unknown_unexplained"] * np.log(
+        max(unexplained(plain, candidates, samples, c), c["least_unexplained"])
+    )
+    unknown += c["unknown_scatter"] * np.log(max(scatter, c["least_scatter"]))
     return np.array([*rows, none, unknown])
 
 
@@ -190,7 +185,8 @@ def decide(
         return Decision(probabilities, sets, verdict, (verdict,), None)
     names = candidates[chosen].names
     verdict = max(names, key=lambda name: probabilities[name])
-    return Decision(probabilities, sets, verdict, _group(names, verdict, probabilities), chosen)
+    group = _group(names, verdict, probabilities, calibration["ambiguity_probability"])
+    return Decision(probabilities, sets, verdict, group, chosen)
 
 
 def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
@@ -207,16 +203,16 @@ def share_of_other(costs: tuple[float, float], temperature: float) -> float:
     return 1 / (1 + float(np.exp(np.clip((costs[1] - costs[0]) / temperature, -50, 50))))
 
 
-def averaged(decision: Decision, other: Decision, share: float) -> Decision:
+def averaged(decision: Decision, other: Decision, share: float, ambiguity_probability: float) -> Decision:
     """A decision with a ``share`` of the probabilities of the one for the other hold (`share_of_other`).
 
-    Verdict and named set stay those of the likelier hold.
+    Verdict and named set stay those of the likelier hold. Effects above ``ambiguity_probability`` join its group.
     """
     mixed = {
         name: (1 - share) * value + share * other.probabilities[name]
         for name, value in decision.probabilities.items()
     }
-    also = [n for n in EFFECT_NAMES if n not in decision.group and mixed[n] > IN_THE_RUNNING]
+    also = [n for n in EFFECT_NAMES if n not in decision.group and mixed[n] > ambiguity_probability]
     group = (*decision.group, *sorted(also, key=lambda n: -mixed[n]))
     return replace(decision, probabilities=mixed, sets=decision.sets * (1 - share), group=group)
 
@@ -285,17 +281,22 @@ def _earned(
     return np.array(lost) / sum(lost)
 
 
-def _group(names: Sequence[str], verdict: str, probabilities: Mapping[str, float]) -> tuple[str, ...]:
-    """The verdict, then effects outside the named set that the data leave in the running, likeliest first."""
-    rest = [n for n in EFFECT_NAMES if n not in names and probabilities[n] > IN_THE_RUNNING]
+def _group(
+    names: Sequence[str], verdict: str, probabilities: Mapping[str, float], least: float
+) -> tuple[str, ...]:
+    """Return the verdict, then effects outside the named set above the ``least`` probability, likeliest first."""
+    rest = [n for n in EFFECT_NAMES if n not in names and probabilities[n] > least]
     return (verdict, *sorted(rest, key=lambda n: -probabilities[n]))
 
 
-def next_trial(decision: Decision) -> str | None:
-    """The trial that would tell apart what is left, in one phrase; None where nothing is left to tell."""
+def next_trial(decision: Decision, certain: float) -> str | None:
+    """Return the trial that would separate the likeliest effects, in one phrase.
+
+    None where a cause or a set of effects has the probability ``certain`` or more: nothing is left to separate.
+    """
     top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
     # the probability of a set of effects is shared out between them
-    if max(top[0][1], *decision.sets) >= 0.9:
+    if max(top[0][1], *decision.sets) >= certain:
         return None
     for name, _ in top:
         for effect in EFFECTS:

@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from real2sim.diagnosis.corrected import corrected
+from real2sim.diagnosis.corrected import Correction, corrected
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.identifiability import interval_verdict
-
-# No searched parameter is known better than this (SD): a plant with the step of the diagnosis errs as much, measured on
-# the phantom, whose integrator is another (docs/diagnosis.md)
-PLANT_SD_LN = 0.005
 
 
 @dataclass(frozen=True)
@@ -38,17 +34,11 @@ def parameter_verdicts(
     leaves beyond noise (chi-squared over ``samples``) widens it. ``settings`` are the slices ``diagnosis`` and
     ``identifiability``.
     """
-    options, limits = settings["diagnosis"]["search"], settings["identifiability"]
-    point, covariance = corrected(
-        pair,
-        hypothesis,
-        draws=options["corrected_draws"],
-        iterations=options["corrected_iterations"],
-        seed=options["seed"],
-    )
+    options, limits = settings["diagnosis"], settings["identifiability"]
+    point, covariance = corrected(pair, hypothesis, Correction.from_options(options["search"]))
     n = len(hypothesis.base)
     excess = max(hypothesis.chi2[0] / samples, 1.0)
-    sd = np.hypot(np.sqrt(np.diag(covariance)[:n] * excess), PLANT_SD_LN)
+    sd = np.hypot(np.sqrt(np.diag(covariance)[:n] * excess), options["report"]["plant_sd_ln"])
     bias = hypothesis.base - point[:n]
     lower, upper = pair.system.bounds()
     out = []

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,18 +21,8 @@ from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent
 from real2sim.system.description import System
 
-# A refit on the way keeps its Jacobian while it foretells a step to this share; what the verdict rests on does not
-KEEP = 0.3
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
-# Starts tried, weaker and weaker, where MuJoCo gives up
-WEAKENINGS = 3
-# Strengths beyond an effect's own starts that are tried by their cost alone
-STRENGTHS = 5
-# ln-range about a fitted constant in which that of another law is drawn
-NEAR = 1.0
-# Longest step in ln or searched numbers that the screening believes
-LONGEST_STEP = 1.5
 
 
 @dataclass(frozen=True)
@@ -76,7 +67,7 @@ def conflict(effects: Sequence[Placed]) -> bool:
 class Search:
     """Screening and refits on one pair of trials."""
 
-    def __init__(self, pair: Pair, settings: dict, progress: Callable[[str], None] | None = None):
+    def __init__(self, pair: Pair, settings: dict[str, Any], progress: Callable[[str], None] | None = None):
         self.pair, self._settings = pair, settings
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
@@ -97,9 +88,9 @@ class Search:
         residuals = self._residuals(effects, coarse=not final)
         kind = "final_" if final else ""
         iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
-        z, _ = refit(
-            residuals, start, iterations=iterations, ftol=ftol, keep=0.0 if final else KEEP, known=tangent
-        )
+        # what the verdict rests on takes a new Jacobian at every step
+        keep = 0.0 if final else self._settings["keep_jacobian"]
+        z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=keep, known=tangent)
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.system, coarse=not final)
         if len(held_out.free):
             z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
@@ -142,7 +133,7 @@ class Search:
 
     def is_noise(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis leaves nothing that a further effect has to explain."""
-        return self.excess(hypothesis) < self._settings["pair_excess_sigma"]
+        return bool(self.excess(hypothesis) < self._settings["pair_excess_sigma"])
 
     def fit_screened(self, screened: Screened) -> Hypothesis:
         """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that.
@@ -170,7 +161,7 @@ class Search:
         What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
         friction, and no tangent leads out of there. So these are tried from the middle of their range too.
         """
-        z = _fresh_starts(effects[-1], base, self.pair.system)
+        z = _fresh_starts(effects[-1], base, self.pair.system, self._settings["strengths"])
         costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)
         costs = np.where(np.isfinite(costs), costs, FAILED)
@@ -188,7 +179,7 @@ class Search:
         lower, upper = law.bounds()
         for i, parameter in enumerate(law.effect.parameters):
             if parameter.log and parameter.name in near:
-                about = near[parameter.name] + np.array([-1, 1]) * NEAR
+                about = near[parameter.name] + np.array([-1, 1]) * self._settings["redraw_range_ln"]
                 lower[i], upper[i] = np.clip(about, lower[i], upper[i])
         points = qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
         z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
@@ -205,7 +196,7 @@ class Search:
         """
         residuals = self._residuals(effects)
         z = np.concatenate([base, x])
-        for weaker in _weakened(effects[-1], x):
+        for weaker in _weakened(effects[-1], x, self._settings["weakenings"]):
             z = np.concatenate([base, weaker])
             if np.isfinite(residuals.costs(z[None])[0]):
                 break
@@ -248,7 +239,7 @@ class Search:
         lower, upper = residuals.lower, residuals.upper
         own = np.arange(len(here.z), len(lower))
         tangents: list[Tangent] = []
-        for starts in _weakened(placed, placed.starts()):
+        for starts in _weakened(placed, placed.starts(), self._settings["weakenings"]):
             z = np.hstack([np.tile(here.z, (len(starts), 1)), starts])
             at = residuals.many(z)
             # prior rows of the base's own effects stand before those of the new one
@@ -262,7 +253,8 @@ class Search:
             if tangents:
                 break
         self.evaluations += residuals.evaluations
-        steps = [_bounded_step(tangent, lower, upper) for tangent in tangents]
+        longest = self._settings["longest_step"]
+        steps = [_bounded_step(tangent, lower, upper, longest) for tangent in tangents]
         found = [
             Screened(effects, cost, t.z + step, t) for t, (step, cost) in zip(tangents, steps, strict=True)
         ]
@@ -282,7 +274,7 @@ class Search:
             own_lower, own_upper = self.pair.system.bounds()
             lower = np.concatenate([own_lower, *(low for low, _ in limits)])
             upper = np.concatenate([own_upper, *(high for _, high in limits)])
-            step, cost = _bounded_step(tangent, lower, upper)
+            step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
             out.append(Screened(effects, cost, tangent.z + step, tangent))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
@@ -318,25 +310,25 @@ def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
     )
 
 
-def _weakened(placed: Placed, x: np.ndarray) -> Iterator[np.ndarray]:
-    """A start (p,) of an effect, or several (s, p), then weaker and weaker ones."""
-    for _ in range(WEAKENINGS):
+def _weakened(placed: Placed, x: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    """Yield a start (p,) of an effect, or several (s, p), then weaker and weaker ones, ``count`` in all."""
+    for _ in range(count):
         yield x
         x = placed.weaker(x)
 
 
-def _fresh_starts(placed: Placed, base: np.ndarray, system: System) -> np.ndarray:
+def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: int) -> np.ndarray:
     """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the axis' parameters old and new.
 
+    ``strengths`` of the effect are tried between its strongest start and its bound.
     New are the middles of their ranges: first the damping alone, then stiffness and damping.
     """
     starts, (_, upper) = placed.starts(), placed.bounds()
-    strengths = [starts]
+    x = starts
     if placed.effect.parameters and placed.effect.parameters[0].log:
-        ladder = np.tile(starts[0], (STRENGTHS, 1))
-        ladder[:, 0] = np.linspace(starts[:, 0].max(), upper[0], STRENGTHS + 1)[1:]
-        strengths.append(ladder)
-    x = np.concatenate(strengths)
+        ladder = np.tile(starts[0], (strengths, 1))
+        ladder[:, 0] = np.linspace(starts[:, 0].max(), upper[0], strengths + 1)[1:]
+        x = np.concatenate([starts, ladder])
     lower_base, upper_base = system.bounds()
     middle = (lower_base + upper_base) / 2
     bases = [base]
@@ -355,14 +347,16 @@ def _of_axis(index: Mapping[int, int], axis: int) -> list[int]:
     return [index[axis]] if axis in index else []
 
 
-def _bounded_step(tangent: Tangent, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
-    """Gauss-Newton step, held inside the bounds and to a length that a tangent may claim, and the cost it predicts."""
+def _bounded_step(
+    tangent: Tangent, lower: np.ndarray, upper: np.ndarray, longest: float
+) -> tuple[np.ndarray, float]:
+    """Return the Gauss-Newton step inside the bounds, ``longest`` a coordinate, and the cost that it predicts."""
     z, r, jacobian = tangent.z, tangent.residuals, tangent.jacobian
     normal, slope = jacobian.T @ jacobian, jacobian.T @ r
     normal[np.diag_indices_from(normal)] *= 1 + 1e-6
     normal[np.diag_indices_from(normal)] += 1e-9
-    lower = np.maximum(lower - z, -LONGEST_STEP)
-    upper = np.minimum(upper - z, LONGEST_STEP)
+    lower = np.maximum(lower - z, -longest)
+    upper = np.minimum(upper - z, longest)
     free, step = np.ones(len(z), bool), np.zeros(len(z))
     # what meets a bound stays there and is made good by the others
     for _ in range(4):

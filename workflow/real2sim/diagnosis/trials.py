@@ -36,11 +36,6 @@ from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
 from real2sim.system.description import System
 
-# Probability of `unknown` from which no set of effects is fitted any further
-CERTAIN = 0.99
-# Share of what stands out of the noise that a machine in equilibrium has to explain to be searched for
-HOLD_SHARE = 0.25
-
 
 @dataclass(frozen=True)
 class Trials:
@@ -103,7 +98,7 @@ class Found:
 
     def cost(self, options: dict[str, Any]) -> float:
         """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
-        sets = candidates_of(self.attribution, options["search"])
+        sets = candidates_of(self.attribution, options)
         return cost_of_answer(*sets, self.attribution.samples, options["calibration"])
 
 
@@ -148,7 +143,7 @@ def looks_settled(pair: Pair, plain: Hypothesis, options: dict[str, Any]) -> boo
         return False
     settled = unexplained(Search(at_rest, options["search"]).fit((), plain.z), at_rest)
     return any(
-        left > most and then < (1 - HOLD_SHARE) * left
+        left > most and then < (1 - options["search"]["equilibrium_share"]) * left
         for left, then, most in zip(released, settled, noise, strict=True)
     )
 
@@ -215,16 +210,17 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict[str, Any
     return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
 
 
-def candidates_of(attribution: Attribution, search: dict[str, Any]) -> tuple[Candidate, list[Candidate]]:
-    """Return the plain plant and every refitted set as the decision sees them; ``search``: ``diagnosis.search``."""
+def candidates_of(attribution: Attribution, options: dict[str, Any]) -> tuple[Candidate, list[Candidate]]:
+    """Return the plain plant and every refitted set as the decision sees them; ``options``: slice ``diagnosis``."""
     samples = sum(attribution.samples)
-    noise = samples + search["pair_excess_sigma"] * np.sqrt(2 * samples)
+    noise = samples + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples)
+    most_laws = options["calibration"]["most_laws_of_axis"]
     return Candidate((), 0, attribution.plain.chi2), [
         Candidate(
             h.names,
             h.own,
             h.chi2,
-            is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise),
+            is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise, most_laws_of_axis=most_laws),
             is_doubtful(h.effects),
         )
         for h in attribution.hypotheses
@@ -236,13 +232,13 @@ def conclude(found: Found, options: dict[str, Any]) -> Decision:
     pair, attribution = found.pair, found.attribution
     converged: set[int] = set()
     while True:
-        plain, sets = candidates_of(attribution, options["search"])
+        plain, sets = candidates_of(attribution, options)
         decision = decide(plain, sets, attribution.samples, options["calibration"])
         likeliest = decision.chosen
         if likeliest is None:
             likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
         # what leaves far too much does not become the answer by its last percent
-        far = decision.probabilities[UNKNOWN] > CERTAIN
+        far = decision.probabilities[UNKNOWN] > options["search"]["certain_unknown"]
         known = decision.verdict == NONE or far or likeliest in converged | {-1}
         if known or len(converged) == options["search"]["final_refits"]:
             return decision

@@ -17,7 +17,7 @@ from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_
 from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.plant import RestPose, compiled
-from real2sim.system.replay import servo_command
+from real2sim.system.replay import Simulated, servo_command
 
 # Time step for which an effect's substeps are meant [s]
 _REFERENCE_STEP_S = 0.01
@@ -197,6 +197,11 @@ class SystemReplay:
             if placed.effect.chains.log is not None and len(done):
                 logs[done] = placed.effect.chains.log(logs[done], value[done], self._context)
         return paths, logs
+
+    def as_simulated(self) -> Simulated:
+        """Return model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""
+        position, rate = self._starts(1)[0], self._start[1] + self._hurry[0]
+        return Simulated(self._batch.get_model(0), position, rate, self._control[0].copy())
 
     def _impedance(self, parameters: np.ndarray) -> InterfaceImpedance:
         system, model = self._setup.system, self.model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
@@ -14,8 +14,18 @@ from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from real2sim.recording.tables import rotation_vectors
 from real2sim.recording.trial import Trial
 
-# The pelvis path is never smoothed below this
-LOWEST_CUTOFF_HZ = 3.0
+
+@dataclass(frozen=True)
+class CutoffRule:
+    """Where the pelvis path is low-passed: slice ``diagnosis.pelvis`` of the configuration.
+
+    ``lowest_cutoff_hz``: never below this [Hz]; ``loud_power``: a frequency counts where its power is so many times
+    that of the noise; ``cutoff_margin``: the cut-off over the highest frequency that counts.
+    """
+
+    lowest_cutoff_hz: float
+    loud_power: float
+    cutoff_margin: float
 
 
 def lowpass_from_standing(values: np.ndarray, rate_hz: float, cutoff_hz: float, start: int) -> np.ndarray:
@@ -30,13 +40,18 @@ def lowpass_from_standing(values: np.ndarray, rate_hz: float, cutoff_hz: float, 
 
 
 def smoothed_pelvis(
-    trial: Trial, sd: Mapping[str, np.ndarray], rate_hz: float, cutoff_hz: float, start: int
+    trial: Trial,
+    sd: Mapping[str, np.ndarray],
+    rate_hz: float,
+    cutoff_hz: float,
+    start: int,
+    rule: CutoffRule,
 ) -> tuple[Trial, float]:
     """The trial with its pelvis path low-passed to what stands out of the noise, and the cut-off [Hz].
 
     Noise of the replayed pelvis shakes loose what friction holds: a law with memory sees another motion than the
-    person made. Above the cut-off none of the six pelvis coordinates has three times the power of its noise. The person
-    stands still in the first ``start`` samples.
+    person made. Above the cut-off none of the six pelvis coordinates has ``rule.loud_power`` times the power of its
+    noise. The person stands still in the first ``start`` samples.
     """
     position, vectors = signals.bridged(trial.pelvis_position), rotation_vectors(trial.pelvis_rotation)
     rigid = rigid_markers(trial)
@@ -50,9 +65,9 @@ def smoothed_pelvis(
     frequency = np.arange(len(power)) * rate_hz / (2 * len(power))
     width = max(6, int(2 * len(power) / rate_hz))  # one hertz
     mean = np.stack([np.convolve(row, np.ones(width) / width, "same") for row in power.T], axis=1)
-    loud = (mean > 3 * noise.var(axis=0)).any(axis=1) & (frequency < cutoff_hz)
-    last = float(frequency[loud].max()) if loud.any() else LOWEST_CUTOFF_HZ
-    chosen = float(np.clip(1.25 * last, LOWEST_CUTOFF_HZ, cutoff_hz))
+    loud = (mean > rule.loud_power * noise.var(axis=0)).any(axis=1) & (frequency < cutoff_hz)
+    last = float(frequency[loud].max()) if loud.any() else rule.lowest_cutoff_hz
+    chosen = float(np.clip(rule.cutoff_margin * last, rule.lowest_cutoff_hz, cutoff_hz))
     if chosen >= cutoff_hz:
         return trial, cutoff_hz
     lost = ~np.isfinite(trial.pelvis_position).all(axis=1)

@@ -35,12 +35,6 @@ from real2sim.system.description import System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.plant import STRAP_JOINTS, JointLimits
 
-# How late a log's stamps are beside what they say, SD [s], and how well the size of wheels is known, SD: one number a
-# trial each (systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869)
-LOG_LATENCY_S = 0.001
-ODOMETRY_SCALE_SD = 0.005
-# Above this the log's own motion is lost in its noise
-LOG_CUTOFF_HZ = 5.0
 # Most parts of a time step while a cause is only searched for
 COARSE = 2
 # A rest pose that differs along one axis, and a start pose that differs from the observed one
@@ -444,14 +438,19 @@ class StrapEvidence:
         return self._without_gaps(np.concatenate(parts))
 
     def _log_unknown(self) -> np.ndarray:
-        """What a late log and wheels of another size, by one SD each, do to the residuals (3, n, c)."""
+        """Return the change of the residuals (3, n, c) by one SD of the log's delay and of the wheels' size each.
+
+        Systematic errors of odometry: Borenstein & Feng, IEEE Trans. Robot. Autom. 12 (1996) 869.
+        """
         assert self.robot is not None
+        known = self.setup.settings["diagnosis"]["nuisance"]
+        late, scale = known["log_latency_sd_s"], known["odometry_scale_sd"]
         h = float(self.trial.time_s[1] - self.trial.time_s[0])
-        path = signals.lowpass(signals.bridged(self.robot), 1 / h, LOG_CUTOFF_HZ, 4)
+        path = signals.lowpass(signals.bridged(self.robot), 1 / h, known["log_cutoff_hz"], 4)
         out = np.zeros((3, len(path), self.channels))
-        out[0, :, 6:] = np.hypot(self.levels.log_offset_sd_s, LOG_LATENCY_S) * np.gradient(path, h, axis=0)
-        out[1, :, 6:8] = ODOMETRY_SCALE_SD * path[:, :2]
-        out[2, :, 8] = ODOMETRY_SCALE_SD * path[:, 2]
+        out[0, :, 6:] = np.hypot(self.levels.log_offset_sd_s, late) * np.gradient(path, h, axis=0)
+        out[1, :, 6:8] = scale * path[:, :2]
+        out[2, :, 8] = scale * path[:, 2]
         return out
 
     def _misjudged(self, markers: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from real2sim.geometry import interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
-from real2sim.recording.pelvis import pelvis_shape, smoothed_pelvis
+from real2sim.recording.pelvis import CutoffRule, pelvis_shape, smoothed_pelvis
 from real2sim.recording.skin import skin_of
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import (
@@ -102,7 +102,10 @@ def _read(
     trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
     trial, jumped = without_ghosts(trial, rule, ident["settle_after_gap_s"])
-    trial, cutoff = smoothed_pelvis(trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start)
+    smoothing = CutoffRule(**options["pelvis"])
+    trial, cutoff = smoothed_pelvis(
+        trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start, smoothing
+    )
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     let_go = np.zeros((6, 6))
     if measured is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -179,7 +180,14 @@ def _differing(one: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -> 
     ]
 
 
-def baked(replay: Replay, simulated: Simulated) -> mujoco.MjSpec:
+class Described(Protocol):
+    """A replay with the description and the compiled model of its plant."""
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+
+
+def baked(replay: Described, simulated: Simulated) -> mujoco.MjSpec:
     """Return the replay's description with the values of a simulation in its elements, and a keyframe ``start``.
 
     Raises

@@ -143,7 +143,8 @@ def _logged(log: np.ndarray, offset_sd_s: float = 0.0, rests: np.ndarray | None 
         noise_model=model, robot_sd=np.full(6, 1e-3), let_go=np.zeros((6, 6)), log_offset_sd_s=offset_sd_s
     )
     given = np.zeros((0, n, 12)) if rests is None else rests
-    return _Logged(recorded, levels, None, None, given=given).with_noise(np.ones(12), 31, 1)
+    setup = SimpleNamespace(settings=validated({}, "config", Path("defaults")))
+    return _Logged(recorded, levels, None, setup, given=given).with_noise(np.ones(12), 31, 1)
 
 
 def _sway(n: int = 1200) -> np.ndarray:

@@ -1,0 +1,30 @@
+"""The lines of docs/library.md run as they are printed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_example_of_the_page_names_the_cause(tmp_path):
+    page = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    assert len(code.strip().splitlines()) <= 25
+    script = tmp_path / "example.py"
+    script.write_text(code, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, script],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT / "workflow"), "PATH": "", "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    verdict, probability = re.search(r"^(\w+) ([01]\.\d+)$", done.stdout, re.M).groups()
+    assert verdict == "coulomb"
+    assert float(probability) > 0.9

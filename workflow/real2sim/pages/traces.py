@@ -1,0 +1,52 @@
+"""Traces of a recording and of simulations of it, channel by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from real2sim.pages import style
+
+KINDS = {
+    "measured": ("measured", style.BLACK, "-"),
+    "plain": ("simulated", style.BLUE, "--"),
+    "with_effect": ("with the effect", style.ORANGE, ":"),
+}
+MOST_CHANNELS = 8
+
+
+def plot_traces(columns: Mapping[str, np.ndarray], title: str, path: Path | str | None = None) -> Figure:
+    """Draw channels over time, measured and simulated; return the figure.
+
+    Parameters
+    ----------
+    columns
+        time_s and ``<kind>_<channel>`` (n,), kind one of `KINDS`; units stand in the channels' names. The channels that
+        move most are drawn.
+    path
+        Where the figure is written, PNG or PDF; None for nowhere.
+    """
+    channels = [name.removeprefix("measured_") for name in columns if name.startswith("measured_")]
+    moved = sorted(channels, key=lambda c: -float(np.nanstd(columns[f"measured_{c}"])))[:MOST_CHANNELS]
+    shown = [c for c in channels if c in moved]
+    figure, axes = plt.subplots(
+        len(shown), 1, sharex=True, squeeze=False, figsize=(7.0, 1.2 + 1.3 * len(shown)), layout="constrained"
+    )
+    for row, channel in zip(axes[:, 0], shown, strict=True):
+        for kind, (label, colour, line) in KINDS.items():
+            values = columns.get(f"{kind}_{channel}")
+            if values is not None:
+                row.plot(columns["time_s"], values, line, color=colour, lw=1.2, label=label)
+        row.set_ylabel(channel.replace("_", " "), fontsize=8)
+        row.tick_params(labelsize=8)
+    axes[-1, 0].set_xlabel("time [s]", fontsize=8)
+    axes[0, 0].legend(fontsize=8, ncols=3, loc="upper right", frameon=False)
+    axes[0, 0].set_title(title, fontsize=9, loc="left")
+    if path is not None:
+        figure.savefig(path, dpi=150)
+        plt.close(figure)
+    return figure

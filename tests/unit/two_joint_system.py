@@ -41,9 +41,8 @@ SYSTEM = r2s.System.from_dict(
 )
 # description ends
 
-SETTINGS = {
-    "diagnosis": {"search": {"refits": 6, "refits_close": 1, "iterations": 20, "pair_excess_sigma": 1e9}}
-}
+FEWER = {"refits": 6, "refits_close": 1, "pair_refits": 1, "pair_screens": 0, "most_effects": 2}
+SETTINGS = {"diagnosis": {"search": FEWER}}
 TRUE = {"shoulder": (20.0, 0.5), "elbow": (10.0, 0.2)}
 FINE_S, SAMPLE_S, NOISE_RAD = 2e-4, 0.01, 2e-4
 

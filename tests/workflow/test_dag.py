@@ -94,7 +94,10 @@ def test_phantom_shares_no_code_with_the_identification(project):
     for path in files:
         text = path.read_text()
         for room in (
-            "system",
+            "system.plant",
+            "system.drive",
+            "system.replay",
+            "system.description",
             "effects",
             "inference",
             "diagnosis",

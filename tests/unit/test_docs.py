@@ -13,11 +13,10 @@ import yaml
 ROOT = Path(__file__).parents[2]
 
 
-def test_config_reference_is_current():
-    done = subprocess.run(
-        [sys.executable, ROOT / "docs" / "make_config_reference.py", "--check"], check=False
-    )
-    assert done.returncode == 0, "run: python docs/make_config_reference.py"
+@pytest.mark.parametrize("script", ["make_config_reference.py", "make_system_reference.py"])
+def test_reference_tables_are_current(script):
+    done = subprocess.run([sys.executable, ROOT / "docs" / script, "--check"], check=False)
+    assert done.returncode == 0, f"run: python docs/{script}"
 
 
 def test_ci_runs_the_readmes_test_command():
@@ -37,6 +36,7 @@ def test_ci_runs_the_readmes_test_command():
         "docs/assumptions.md",
         "docs/decisions.md",
         "docs/library.md",
+        "examples/README.md",
         "docs/troubleshooting.md",
     ],
 )

@@ -44,7 +44,8 @@ def plot_traces(columns: Mapping[str, np.ndarray], title: str, path: Path | str 
         row.set_ylabel(channel.replace("_", " "), fontsize=8)
         row.tick_params(labelsize=8)
     axes[-1, 0].set_xlabel("time [s]", fontsize=8)
-    axes[0, 0].legend(fontsize=8, ncols=3, loc="upper right", frameon=False)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     axes[0, 0].set_title(title, fontsize=9, loc="left")
     if path is not None:
         figure.savefig(path, dpi=150)

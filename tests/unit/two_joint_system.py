@@ -66,7 +66,7 @@ def record(name: str, amplitude: float, hz: tuple[float, ...], friction: float, 
         rise = np.sin(np.pi / 2 * np.clip((t - 0.5) / 0.5, 0, 1)) ** 2
         return rise * amplitude * np.sin(2 * np.pi * np.array(hz) * t + phases).sum(axis=1)
 
-    for step in range(round(8 / FINE_S)):
+    for step in range(round(10 / FINE_S)):
         if step % round(SAMPLE_S / FINE_S) == 0:
             angles = data.qpos + NOISE_RAD * rng.standard_normal(2)
             rows.append((data.time, *torque(data.time), *angles))

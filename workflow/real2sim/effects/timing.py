@@ -69,7 +69,7 @@ def _trailing_mean(paths: np.ndarray, window_s: float, rate_hz: float) -> np.nda
 
 
 def _rate(context: Context) -> float:
-    return float(float(1 / (context.time_s[1] - context.time_s[0])))
+    return float(1 / (context.time_s[1] - context.time_s[0]))
 
 
 def filtered_markers(order: int) -> OutputChain:

@@ -31,7 +31,7 @@ class JumpRule:
 
     def reach(self, name: str) -> float:
         """Return an option that is a time [s], longer where the low-pass is slower and smears further."""
-        return float(float(self.options[name]) * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz))
+        return float(self.options[name] * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz))
 
 
 def spikes(paths: np.ndarray, rule: JumpRule, sd: float | None = None) -> np.ndarray:

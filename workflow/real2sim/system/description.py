@@ -12,7 +12,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from real2sim.configuration import read_yaml, validated
@@ -278,6 +277,9 @@ class System:
     @cached_property
     def joint_units(self) -> dict[str, str]:
         """Unit of each joint of the machine's MJCF, by name: m for a slide, rad for a hinge."""
+        # a description is read where no simulator is: only its joints need one
+        import mujoco
+
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         try:
             spec = mujoco.MjSpec.from_file(str(self.model))

@@ -11,10 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim import signals
 from real2sim.configuration import validated
-from real2sim.diagnosis.stage import _time_step
 from real2sim.errors import InputError
 from real2sim.recording.jumps import JumpRule
 from real2sim.recording.noise import Bands, LowPass, NoiseModel, robot_noise
+from real2sim.study.diagnose import _time_step
 from real2sim.system.plant import ROBOT_JOINTS
 
 STUDY = validated({}, "config", Path("defaults"))

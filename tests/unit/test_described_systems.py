@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import real2sim as r2s
+from real2sim.diagnosis.described_trial import DescribedTrial
+from real2sim.effects.markers import drifting_marker
 from real2sim.system.description import shipped
 from real2sim.verification.systems import one_axis
 from real2sim.verification.systems.emps_data import read_emps
@@ -60,3 +63,25 @@ def test_dry_friction_is_named_in_the_measured_emps():
     answer = r2s.diagnose(system, train=parts[0], held_out=parts[1], settings=SETTINGS)
     friction = {"coulomb", "lugre", "stribeck"} & set(answer.answer.verdict_set)
     assert friction, answer.table().to_string()
+
+
+def test_replay_of_an_imposed_path_leaves_noise_alone_up_to_the_end_of_a_record(tmp_path):
+    """The path ends in motion: a filter that reflects it there left 3.5 N of a noise of 0.2 N."""
+    system = r2s.System.from_yaml(shipped("bouc_wen") / "system.yaml")
+    one_axis.simulate_bouc_wen(None, 0.0, 1, tmp_path, 2.0)
+    evidence = DescribedTrial(system, r2s.Recording.read(system, tmp_path / "train.parquet"), None).evidence()
+    values = np.array([[one_axis.BOUC_WEN["stiffness"], one_axis.BOUC_WEN["damping"]]])
+    left = evidence.replay((), 1).run_effects(values, ())[0][0] - evidence.measured.observed
+    assert np.std(left[-60:]) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.2)
+    assert np.std(left) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.1)
+
+
+def test_marker_of_a_described_system_drifts_as_one_of_the_strap():
+    """Observations of a described system are columns: three of each marker, then the outputs."""
+    context = SimpleNamespace(time_s=np.linspace(0.0, 1.0, 5))
+    rate = np.array([[0.1, 0.2, 0.3], [0.0, -0.1, 0.0]])
+    for side in (0, 1):
+        pairs = drifting_marker(side)(np.zeros((2, 5, 2, 3)), rate, context)
+        columns = drifting_marker(side)(np.zeros((2, 5, 7)), rate, context)
+        assert np.array_equal(columns[:, :, :6], pairs.reshape(2, 5, 6))
+        assert not columns[:, :, 6].any()

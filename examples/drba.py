@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> r2s.Diagnosis:
         r2s.Recording.read(system, folder / f"{trial}.parquet") for trial in ("quiet", "train", "held_out")
     )
     answer = r2s.diagnose(system, train=train, held_out=held_out, quiet=quiet)
-    print(answer.verdict, f"{answer.probabilities[answer.verdict]:.3f}", answer.table(), sep="\n")
+    print(answer.verdict, f"{answer.probabilities[answer.verdict]:.3f}", answer.table().to_string(), sep="\n")
     answer.save(options.out / "diagnosis.json")
     answer.plot(options.out / "traces.png")
     answer.export_model(options.out / "model.xml")

@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> r2s.Diagnosis:
         trials = ("quiet", "train", "held_out")
         quiet, train, held_out = (r2s.Recording.read(system, folder / f"{t}.parquet") for t in trials)
     answer = r2s.diagnose(system, train=train, held_out=held_out, quiet=quiet)
-    print(answer.verdict, f"{answer.probabilities[answer.verdict]:.3f}", answer.table(), sep="\n")
+    print(answer.verdict, f"{answer.probabilities[answer.verdict]:.3f}", answer.table().to_string(), sep="\n")
     answer.save(options.out / "diagnosis.json")
     answer.plot(options.out / "traces.png")
     answer.export_model(options.out / "model.xml")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
@@ -27,6 +27,8 @@ from real2sim.system.replay import servo_command
 
 # Order of the zero-phase low-pass of drive and coordinates
 _ORDER = 4
+# Degree of the spline that a driven joint follows: the drive needs its acceleration
+_DEGREE = 5
 # The start is the mean of so long [s], and of all samples until anything moves by so many SD of its noise
 _START_S, _MOVED_SD = 0.2, 6.0
 # A recording that begins with so long of standing still [s] starts at rest; else a cubic over as long tells the start
@@ -267,10 +269,23 @@ class DescribedTrial:
             columns = columns + self._drive_sd() * noise.standard_normal(columns.shape)
         if self._system.drive.by == FORCE:
             return self._forces(steps, h, columns), None, None
-        path = make_interp_spline(time_s, self._lowpass(columns), k=5)
+        path = self._smooth_path(columns)
         half = np.maximum(steps - h / 2, steps[0])
         command = path(steps) + 2 * h * path(half, 1) + 2 * h * h * path(steps, 2)
         return command, None, path(time_s, 2)
+
+    def _smooth_path(self, columns: np.ndarray) -> BSpline:
+        """Spline of degree 5 through columns (n, c) by least squares, its knots half a period of the cut-off apart.
+
+        A low-pass reflects a record at its ends: of one that ends in motion it bends the acceleration there.
+        """
+        time_s = self._recording.time_s
+        spans = round((time_s[-1] - time_s[0]) * 2 * self._cutoff)
+        if spans >= len(time_s) - _DEGREE:
+            return make_interp_spline(time_s, columns, k=_DEGREE)
+        inner = np.linspace(time_s[0], time_s[-1], max(spans, 1) + 1)
+        knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
+        return make_lsq_spline(time_s, signals.bridged(columns), knots, k=_DEGREE)
 
     def _forces(self, steps: np.ndarray, h: float, columns: np.ndarray) -> np.ndarray:
         """Mean force (nstep, c) over a step about each of ``steps`` (nstep,) [s]: rates live half a step late."""

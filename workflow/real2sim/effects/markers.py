@@ -147,7 +147,9 @@ def drifting_marker(side: int) -> OutputChain:
     def drift(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
         out = paths.copy()
         t = context.time_s - context.time_s[0]
-        out[:, :, side] += t[None, :, None] * values[:, None, :]
+        # of a described system the observations (m, n, c) begin with its markers, coordinate by coordinate
+        marker = out[:, :, side] if out.ndim == 4 else out[:, :, 3 * side : 3 * side + 3]
+        marker += t[None, :, None] * values[:, None, :]
         return out
 
     return drift

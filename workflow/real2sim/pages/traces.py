@@ -41,7 +41,7 @@ def plot_traces(columns: Mapping[str, np.ndarray], title: str, path: Path | str 
             values = columns.get(f"{kind}_{channel}")
             if values is not None:
                 row.plot(columns["time_s"], values, line, color=colour, lw=1.2, label=label)
-        row.set_ylabel(channel.replace("_", " "), fontsize=8)
+        row.set_ylabel(_label(channel), fontsize=8)
         row.tick_params(labelsize=8)
     axes[-1, 0].set_xlabel("time [s]", fontsize=8)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -51,3 +51,11 @@ def plot_traces(columns: Mapping[str, np.ndarray], title: str, path: Path | str 
         figure.savefig(path, dpi=150)
         plt.close(figure)
     return figure
+
+
+def _label(channel: str) -> str:
+    """Return a channel's name with its unit in brackets; coordinates of markers are metres."""
+    name, _, last = channel.rpartition("_")
+    if last in "xyz":
+        return f"{name} {last} [m]"
+    return f"{name.replace('_', ' ')} [{last}]" if name else channel

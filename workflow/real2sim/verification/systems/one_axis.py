@@ -189,7 +189,7 @@ def hysteretic_force(position: np.ndarray, stiffness: float) -> np.ndarray:
     out, z = np.zeros(len(position)), 0.0
     for i, dy in enumerate(np.diff(position).tolist()):
         left = dy
-        for _ in range(2):  # z may change its sign once within a step
+        for _ in range(2 if dy else 0):  # z may change its sign once within a step
             rate = HYSTERESIS_B * (
                 HYSTERESIS_G * np.sign(left) + HYSTERESIS_D * (np.sign(z) or np.sign(left))
             )

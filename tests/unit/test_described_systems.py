@@ -1,0 +1,87 @@
+"""Benchmarks that others published are diagnosed through the public calls: EMPS, Bouc-Wen, and EMPS as measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import real2sim as r2s
+from real2sim.diagnosis.described_trial import DescribedTrial
+from real2sim.effects.markers import drifting_marker
+from real2sim.system.description import shipped
+from real2sim.verification.systems import one_axis
+from real2sim.verification.systems.emps_data import read_emps
+
+MEASURED = Path(__file__).parents[3] / "shared" / "measured" / "emps" / "DATA_EMPS.mat"
+# The search of the diagnosis with fewer refits, also of pairs
+SHORT = {"refits": 8, "refits_close": 1, "pair_refits": 1, "pair_screens": 0, "most_effects": 2}
+SETTINGS = {"diagnosis": {"search": SHORT}}
+
+
+def _diagnosed(name: str, effect: str | None, folder: Path, duration_s: float) -> r2s.Diagnosis:
+    system = r2s.System.from_yaml(shipped(name) / "system.yaml")
+    simulate, effects = one_axis.SYSTEMS[name]
+    size = effects[effect].typical if effect else 0.0
+    simulate(effect, size, 1, folder, duration_s)
+    quiet, train, held_out = (
+        r2s.Recording.read(system, folder / f"{trial}.parquet") for trial in ("quiet", "train", "held_out")
+    )
+    return r2s.diagnose(system, train=train, held_out=held_out, quiet=quiet, settings=SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "duration_s", "verdicts"),
+    [
+        ("emps", "coulomb", 5.0, ("coulomb", "lugre")),
+        ("emps", None, 4.0, ("none",)),
+        ("bouc_wen", "hysteresis", 2.0, ("hysteresis",)),
+        ("bouc_wen", None, 2.0, ("none",)),
+    ],
+)
+def test_nonlinearity_is_named_and_nothing_where_there_is_none(name, effect, duration_s, verdicts, tmp_path):
+    answer = _diagnosed(name, effect, tmp_path, duration_s)
+    assert answer.verdict in verdicts, answer.table().to_string()
+    assert answer.probabilities[answer.verdict] > 0.5
+    if name == "emps":
+        found = answer.answer.parameters["d_x"]["with_effect"]
+        assert found == pytest.approx(one_axis.EMPS["viscous"], rel=0.1)
+
+
+@pytest.mark.skipif(not MEASURED.is_file(), reason=f"{MEASURED}: published without a licence, not in here")
+def test_dry_friction_is_named_in_the_measured_emps():
+    """The first stroke is fitted and the next one predicted; there is no recording of standing still."""
+    system = r2s.System.from_yaml(shipped("emps") / "system.yaml")
+    table = pd.DataFrame(read_emps(MEASURED))
+    parts = []
+    for name, begin_s, end_s in (("first", 0.0, 5.0), ("second", 5.0, 10.0)):
+        part = table[(table["time_s"] >= begin_s) & (table["time_s"] < end_s)].reset_index(drop=True)
+        part["time_s"] = np.arange(len(part)) * 1e-3
+        parts.append(r2s.Recording.from_table(system, part, name))
+    answer = r2s.diagnose(system, train=parts[0], held_out=parts[1], settings=SETTINGS)
+    friction = {"coulomb", "lugre", "stribeck"} & set(answer.answer.verdict_set)
+    assert friction, answer.table().to_string()
+
+
+def test_replay_of_an_imposed_path_leaves_noise_alone_up_to_the_end_of_a_record(tmp_path):
+    """The path ends in motion: a filter that reflects it there left 3.5 N of a noise of 0.2 N."""
+    system = r2s.System.from_yaml(shipped("bouc_wen") / "system.yaml")
+    one_axis.simulate_bouc_wen(None, 0.0, 1, tmp_path, 2.0)
+    evidence = DescribedTrial(system, r2s.Recording.read(system, tmp_path / "train.parquet"), None).evidence()
+    values = np.array([[one_axis.BOUC_WEN["stiffness"], one_axis.BOUC_WEN["damping"]]])
+    left = evidence.replay((), 1).run_effects(values, ())[0][0] - evidence.measured.observed
+    assert np.std(left[-60:]) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.2)
+    assert np.std(left) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.1)
+
+
+def test_marker_of_a_described_system_drifts_as_one_of_the_strap():
+    """Observations of a described system are columns: three of each marker, then the outputs."""
+    context = SimpleNamespace(time_s=np.linspace(0.0, 1.0, 5))
+    rate = np.array([[0.1, 0.2, 0.3], [0.0, -0.1, 0.0]])
+    for side in (0, 1):
+        pairs = drifting_marker(side)(np.zeros((2, 5, 2, 3)), rate, context)
+        columns = drifting_marker(side)(np.zeros((2, 5, 7)), rate, context)
+        assert np.array_equal(columns[:, :, :6], pairs.reshape(2, 5, 6))
+        assert not columns[:, :, 6].any()

@@ -34,8 +34,8 @@ sys.path.insert(0, str(ROOT / "workflow"))
 from real2sim.artefacts import read_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.stage import _time_step, prepare
 from real2sim.recording.ingest import ingest_subject
+from real2sim.study.diagnose import _time_step, strap_trials
 from real2sim.verification.answers import HELD_OUT, NEUTRAL, TRAIN, diagnose_cases
 from real2sim.verification.suite.write import write_cases
 
@@ -87,12 +87,14 @@ def fit_plain(folder: Path, clock_hz: float, cutoff_hz: float, noise_m: float) -
         raw = sorted(path for path in folder.iterdir() if path.name != "subject.yaml")
         ingest_subject(subject=folder.name, folder=folder, settings=settings["ingest"], raw=raw, out=out)
         trials = {"train": out / TRAIN, "held_out": out / HELD_OUT, "neutral": out / NEUTRAL}
-        pair, z = prepare(**trials, limits=None, robot=ROBOT, settings=settings)
+        pair, z = strap_trials(
+            **trials, limits=None, robot=ROBOT, settings=settings, progress=lambda text: None
+        ).prepare()
     ratios = []
     for evidence in (pair.train, pair.held_out):
-        error = JointResiduals(evidence, (), pair.bounds).raw(z)
+        error = JointResiduals(evidence, (), pair.system).raw(z)
         ratios.append(float(np.sum(evidence.whiten(error) ** 2) / evidence.samples))
-    variances = [sd**2 for sd in pair.train.noise_model.marker_sd.values()]
+    variances = [sd**2 for sd in pair.train.levels.noise_model.marker_sd.values()]
     return {
         "ratios": ratios,
         "samples": pair.train.samples,

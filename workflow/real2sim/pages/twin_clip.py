@@ -13,7 +13,8 @@ from mujoco.rendering.classic import gl_context
 
 from real2sim.errors import InputError
 from real2sim.pages.style import PHANTOM_LABEL, save_clip
-from real2sim.recording.trial import load_limits, read_pose
+from real2sim.recording.pose_table import read_pose
+from real2sim.recording.trial import load_limits
 from real2sim.study.twin.coupled import Condition, CoupledWalk
 from real2sim.study.twin.policy import load_policy
 from real2sim.study.twin.stage import read_prior

@@ -10,7 +10,7 @@ import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
-from real2sim.recording.trial import read_pose
+from real2sim.recording.pose_table import read_pose
 
 RY_NOTE = (
     "r_y: without a robot log the rotation about y is not observable from two markers on the y axis; its "

@@ -23,8 +23,8 @@ from real2sim.artefacts import (
 )
 from real2sim.configuration import read_yaml
 from real2sim.errors import InputError
+from real2sim.recording.pose_table import read_pose
 from real2sim.recording.subjects import parse_trial
-from real2sim.recording.trial import read_pose
 from real2sim.study.statistics.piecewise import (
     PiecewiseFit,
     breakpoint_interval,

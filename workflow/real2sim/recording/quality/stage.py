@@ -16,12 +16,12 @@ from real2sim.geometry import AXES
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording
 from real2sim.recording.ingest import ingest_trial, lab_to_world
+from real2sim.recording.pose_table import read_pose
 from real2sim.recording.quality import clocks, markers
 from real2sim.recording.quality.gates import GATES, Session, judge, session_of
 from real2sim.recording.quality.measure import Measured, RawTrial, measure
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, worst
 from real2sim.recording.subjects import Subject, TrialFiles, parse_trial, read_subject
-from real2sim.recording.trial import read_pose
 
 COLUMNS = (
     "subject",

@@ -13,7 +13,8 @@ from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS, as_dict, as_vector
 from real2sim.provenance import fingerprint, provenance, sha256
 from real2sim.recording.ingest import WRENCH
-from real2sim.recording.trial import load_limits, read_pose
+from real2sim.recording.pose_table import read_pose
+from real2sim.recording.trial import load_limits
 from real2sim.study.twin import adaptation
 from real2sim.study.twin.coupled import (
     COMPLIANCES,

@@ -99,7 +99,7 @@ def test_least_squares_reaches_a_lower_cost_than_a_short_cmaes(mini):
 def test_killed_and_started_again_ends_in_the_same_files(victim, mini_done, mini, tmp_path):
     # Snakemake makes a missing file again only where something that is made of it is missing too, up to the target
     (mini.folder / "results" / "report.html").unlink()
-    for name in (*RESULTS[RESULTS.index("fits") :], "figures"):
+    for name in (*RESULTS[RESULTS.index("fits") :], "figures", "refined", "people"):
         shutil.rmtree(mini.folder / "results" / name)
     process = subprocess.Popen(
         [sys.executable, "-m", "snakemake", "--cores", "1"],

@@ -77,8 +77,11 @@ def test_the_relation_of_confusable_effects_is_symmetric_in_the_entries():
 
 
 def test_a_system_offers_what_effects_may_need():
-    assert STRAP.offers <= OFFERS
-    assert all(effect.places(STRAP) for effect in SHIPPED)
+    systems = [STRAP, *(shipped_system(name) for name in ("cuff", "drba"))]
+    assert all(system.offers <= OFFERS for system in systems)
+    assert all(any(effect.places(system) for system in systems) for effect in SHIPPED)
+    elsewhere = {effect.label for effect in SHIPPED if not effect.places(STRAP)}
+    assert elsewhere == {"base_compliance joint", "base_compliance passive"}
 
 
 @pytest.mark.parametrize(

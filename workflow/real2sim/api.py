@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,7 @@ from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.intervals import Known, parameter_verdicts
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.system_evidence import SystemEvidence
 from real2sim.diagnosis.trials import Trials, search_both_ways
 from real2sim.effects.base import Effect, Placed
 from real2sim.effects.catalogue import EFFECTS
@@ -34,6 +35,9 @@ from real2sim.effects.system_replay import supports
 from real2sim.errors import InputError
 from real2sim.recording.table import Recording
 from real2sim.system.description import System
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 _SLICES = ("diagnosis", "identifiability")
 
@@ -188,7 +192,7 @@ def identify(
     """
     options = _settings(settings)
     search = options["diagnosis"]["search"]
-    evidence: Evidence = DescribedTrial(system, recording, quiet, threads).evidence()
+    evidence: Evidence = _evidence(system, recording, quiet, options, threads)
     lower, upper = system.bounds()
     z = plain_fit(evidence, system, (lower + upper) / 2, search)
     evidence = evidence.adapted(system.values(z))
@@ -243,7 +247,7 @@ def diagnose(
         )
     options = _settings(settings)
     recordings = {r.name: r for r in (train, held_out)}
-    trials = {name: DescribedTrial(system, r, quiet, threads).evidence() for name, r in recordings.items()}
+    trials = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
 
     def load(name: str, settled: bool) -> Evidence:
         return trials[name].as_settled() if settled else trials[name]
@@ -263,6 +267,12 @@ def catalogue(system: System | None = None) -> tuple[Effect, ...]:
     return tuple(effect for effect in EFFECTS if system is None or effect.fits(system))
 
 
-def _settings(given: Mapping[str, Any] | None) -> dict[str, Any]:
+def _evidence(
+    system: System, recording: Recording, quiet: Recording | None, options: Settings, threads: int
+) -> SystemEvidence:
+    return DescribedTrial(system, recording, quiet, options["diagnosis"]["described"], threads).evidence()
+
+
+def _settings(given: Mapping[str, Any] | None) -> Settings:
     checked = validated(dict(given or {}), "config", Path("settings"))
-    return {name: checked[name] for name in _SLICES}
+    return cast("Settings", {name: checked[name] for name in _SLICES})

@@ -35,6 +35,8 @@ def _tree(module: str) -> tuple[str, frozenset[str]]:
     if not path.exists():
         path = path.with_suffix("") / "__init__.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))
+    # what only a type checker reads does not run
+    tree.body = [node for node in tree.body if not _is_for_types(node)]
     imported = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(LIBRARY.name):
@@ -55,6 +57,10 @@ def _tree(module: str) -> tuple[str, frozenset[str]]:
         ):
             body[0].value.value = ""
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), frozenset(imported)
+
+
+def _is_for_types(node: ast.stmt) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
 @cache

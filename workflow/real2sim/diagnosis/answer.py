@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from real2sim.diagnosis.trials import Found, Outcome, conclude
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.noise_floor import block_bootstrap_mean
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisReportSettings, Settings
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 
@@ -139,7 +142,7 @@ def describe_model(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
     }
 
 
-def answer(outcome: Outcome, settings: dict[str, Any]) -> Diagnosis:
+def answer(outcome: Outcome, settings: Settings) -> Diagnosis:
     """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``."""
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     decision, share, otherwise = own, 0.0, None
@@ -219,9 +222,9 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
 class _Account:
     """What is said of one search and its decision."""
 
-    def __init__(self, found: Found, decision: Decision, settings: dict[str, Any]):
+    def __init__(self, found: Found, decision: Decision, settings: Settings):
         self._found, self._decision, self._settings = found, decision, settings
-        self._report: dict[str, Any] = settings["diagnosis"]["report"]
+        self._report: DiagnosisReportSettings = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
         self._best = _chosen(found.attribution, decision)
         shown = found.pair.shown

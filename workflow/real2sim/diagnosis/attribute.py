@@ -5,9 +5,9 @@ What takes part is refitted on one trial and judged on the other (`search`); wha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS, are_confusable
 from real2sim.inference import least_squares
 from real2sim.system.description import System
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisCalibrationSettings, DiagnosisSearchSettings
 
 T = TypeVar("T")
 
@@ -53,7 +56,9 @@ def candidates(system: System, scales: Scales, names: Iterable[str] | None = Non
     ]
 
 
-def plain_fit(evidence: Evidence, system: System, start: np.ndarray, settings: dict[str, Any]) -> np.ndarray:
+def plain_fit(
+    evidence: Evidence, system: System, start: np.ndarray, settings: DiagnosisSearchSettings
+) -> np.ndarray:
     """Return searched parameters (n,) of the plain plant by the plain cost, from ``start`` and from drawn points."""
     problem = PlainResiduals(evidence, system)
     rng = np.random.default_rng(settings["seed"])
@@ -102,10 +107,10 @@ def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool, most_laws_of_
 def attribute(
     pair: Pair,
     start: np.ndarray,
-    settings: dict[str, Any],
+    settings: DiagnosisSearchSettings,
     progress: Callable[[str], None],
     places: Sequence[Placed] | None = None,
-    calibration: Mapping[str, float] | None = None,
+    calibration: DiagnosisCalibrationSettings | None = None,
 ) -> Attribution:
     """Plain fit, then every effect alone, then pairs where one alone leaves more than noise.
 
@@ -149,7 +154,9 @@ def attribute(
     return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
 
 
-def _converged(search: Search, plain: Hypothesis, best: Hypothesis, settings: dict[str, Any]) -> Hypothesis:
+def _converged(
+    search: Search, plain: Hypothesis, best: Hypothesis, settings: DiagnosisSearchSettings
+) -> Hypothesis:
     """The best single effect refitted to the end, where it takes away nearly all of the gap and yet leaves some.
 
     What a refit that was cut short leaves, or the coarse time step of the search, is no second cause.
@@ -188,7 +195,12 @@ def _without_spikes(
 
 
 def _alone(
-    search: Search, shortlist: Sequence[Screened], plain: Hypothesis, settings: dict[str, Any], *, quiet: bool
+    search: Search,
+    shortlist: Sequence[Screened],
+    plain: Hypothesis,
+    settings: DiagnosisSearchSettings,
+    *,
+    quiet: bool,
 ) -> list[Hypothesis]:
     """Refits of single effects, best first; those that cannot be the answer any more are left out.
 
@@ -212,7 +224,7 @@ def _alone(
 
 
 def _behind(
-    search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis, settings: dict[str, Any]
+    search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis, settings: DiagnosisSearchSettings
 ) -> bool:
     """Whether an effect promises so little beside a single one that explains all or nearly all that it is no answer."""
     n = search.samples[0]
@@ -261,7 +273,7 @@ def _other_forms(
 
 
 def _other_laws(
-    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: DiagnosisSearchSettings
 ) -> list[Hypothesis]:
     """Single effects, and on the axis of the best the laws it is mistaken for that the tangent promised nothing of.
 
@@ -279,7 +291,7 @@ def _other_laws(
 
 
 def _redrawn(
-    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
+    search: Search, found: list[Hypothesis], places: Sequence[Placed], settings: DiagnosisSearchSettings
 ) -> list[Hypothesis]:
     """Single effects, and on the axis of the best its law and rivals of many constants, refitted from drawn starts.
 
@@ -323,7 +335,7 @@ def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis
     return min([fitted, *again], key=lambda h: h.chi2[0])
 
 
-def _shortlist(screened: Sequence[Screened], settings: dict[str, Any]) -> list[Screened]:
+def _shortlist(screened: Sequence[Screened], settings: DiagnosisSearchSettings) -> list[Screened]:
     """The best places of every effect that promises anything, up to a number of refits."""
     taken: dict[str, int] = {}
     first: list[Screened] = []
@@ -344,7 +356,7 @@ def _pairs(
     singles: Sequence[Screened],
     found: Sequence[Hypothesis],
     everything: Sequence[Placed],
-    settings: dict[str, Any],
+    settings: DiagnosisSearchSettings,
     *,
     others: bool,
 ) -> tuple[list[Hypothesis], list[Placed]]:
@@ -424,7 +436,7 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _swapped(
-    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: dict[str, Any]
+    search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: DiagnosisSearchSettings
 ) -> list[Hypothesis]:
     """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
 
@@ -530,15 +542,16 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return out
 
 
-def finished(pair: Pair, hypothesis: Hypothesis, settings: dict[str, Any]) -> Hypothesis:
+def finished(pair: Pair, hypothesis: Hypothesis, settings: DiagnosisSearchSettings) -> Hypothesis:
     """A hypothesis refitted until it converged; the old one where that did not help the training trial."""
     if hypothesis.converged:
         return hypothesis
     search = Search(pair, settings)
     if not search.is_noise(hypothesis):
         # the last digit of what leaves far more than noise is worth no hundred Jacobians
-        rough = {f"final_{key}": settings[key] for key in ("iterations", "ftol")}
-        search = Search(pair, settings | rough)
+        rough = settings.copy()
+        rough["final_iterations"], rough["final_ftol"] = settings["iterations"], settings["ftol"]
+        search = Search(pair, rough)
     again = search.fit(hypothesis.effects, hypothesis.z, final=True)
     return again if again.chi2[0] <= hypothesis.chi2[0] else hypothesis
 
@@ -548,7 +561,7 @@ def _grow(
     found: Sequence[Hypothesis],
     promising: Sequence[Placed],
     everything: Sequence[Placed],
-    settings: dict[str, Any],
+    settings: DiagnosisSearchSettings,
     progress: Callable[[str], None],
 ) -> list[Hypothesis]:
     """Third and further effects (or axes of one) on top of the best set, while each earns much of what is left.

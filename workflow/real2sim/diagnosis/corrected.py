@@ -14,14 +14,17 @@ sample, while residuals here are whitened and carry the parameters of effects an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSearchSettings
 
 # Step of the ln-parameters for derivatives of what noise does: the same draws on either side, so a small one is exact
 _STEP_LN = 1e-3
@@ -45,7 +48,7 @@ class Correction:
     least_share: float
 
     @classmethod
-    def from_options(cls, search: Mapping[str, Any]) -> Correction:
+    def from_options(cls, search: DiagnosisSearchSettings) -> Correction:
         """Return the rule of the slice ``diagnosis.search`` of the configuration."""
         return cls(
             search["corrected_draws"],

@@ -11,10 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisCalibrationSettings
 
 NONE, UNKNOWN = "none", "unknown"
 
@@ -54,17 +58,22 @@ class Decision:
 
 
 def unexplained(
-    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
+    plain: Candidate,
+    candidates: Sequence[Candidate],
+    samples: tuple[int, int],
+    c: DiagnosisCalibrationSettings,
 ) -> float:
     """Share of the gap that even the best set leaves, less what noise may leave: 0 where all of it is explained."""
     total, n = sum(plain.chi2), sum(samples)
-    best = min((sum(x.chi2) + 2 * x.parameters for x in candidates), default=total)
+    best = min((_least(x, c) for x in candidates), default=total)
     spread = np.sqrt(2 * n)
     left = min(best, total) - (1 + c["granted_share"]) * n - c["granted_sd"] * spread
     return float(max(left, 0.0) / max(total - n, spread))
 
 
-def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> float:
+def further_price(
+    plain: tuple[float, float], samples: tuple[int, int], c: DiagnosisCalibrationSettings
+) -> float:
     """What a second and every further law must take from chi-squared, given that of the plain plant on both trials.
 
     It must earn something in itself and, lest it mend the form of another, beside the gap.
@@ -72,7 +81,9 @@ def further_price(plain: tuple[float, float], samples: tuple[int, int], c: Mappi
     return c["second_effect"] + c["second_effect_share"] * max(sum(plain) - sum(samples), 0.0)
 
 
-def is_out_of_reach(plain: tuple[float, float], samples: tuple[int, int], c: Mapping[str, float]) -> bool:
+def is_out_of_reach(
+    plain: tuple[float, float], samples: tuple[int, int], c: DiagnosisCalibrationSettings
+) -> bool:
     """Whether the plain plant leaves so little that even a law which explained all of it would not be believed.
 
     Given chi-squared of the plain plant on both trials; ``granted_sd`` of what noise leaves are granted to that law.
@@ -86,7 +97,12 @@ def is_out_of_reach(plain: tuple[float, float], samples: tuple[int, int], c: Map
     )
 
 
-def _left(candidate: Candidate, c: Mapping[str, float]) -> float:
+def _least(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
+    """Chi-squared of both trials that a set leaves, and what its free parameters count for."""
+    return sum(candidate.chi2) + c["chance_per_parameter"] * candidate.parameters
+
+
+def _left(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
     """What a set leaves of chi-squared, the training trial weighted."""
     return c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
 
@@ -96,10 +112,13 @@ def _laws(candidate: Candidate) -> int:
 
 
 def logits(
-    plain: Candidate, candidates: Sequence[Candidate], samples: tuple[int, int], c: Mapping[str, float]
+    plain: Candidate,
+    candidates: Sequence[Candidate],
+    samples: tuple[int, int],
+    c: DiagnosisCalibrationSettings,
 ) -> np.ndarray:
     """Unnormalised log-probabilities of the candidates, then of none and unknown."""
-    best_chi2 = min(sum(plain.chi2), *(sum(x.chi2) + 2 * x.parameters for x in candidates), np.inf)
+    best_chi2 = min(sum(plain.chi2), *(_least(x, c) for x in candidates), np.inf)
     temperature = c["temperature"] + c["temperature_per_excess"] * max(best_chi2 - sum(samples), 0.0)
 
     further = further_price(plain.chi2, samples, c)
@@ -132,7 +151,7 @@ def logits(
 
 
 def _scatter(
-    plain: Candidate, candidates: Sequence[Candidate], rows: np.ndarray, c: Mapping[str, float]
+    plain: Candidate, candidates: Sequence[Candidate], rows: np.ndarray, c: DiagnosisCalibrationSettings
 ) -> float:
     """How much of the effects' probability does not belong to the likeliest one: 0 where one effect has it all."""
     named = [i for i, candidate in enumerate(candidates) if not candidate.makeshift]
@@ -158,7 +177,7 @@ def decide(
     plain: Candidate,
     candidates: Sequence[Candidate],
     samples: tuple[int, int],
-    calibration: Mapping[str, float],
+    calibration: DiagnosisCalibrationSettings,
 ) -> Decision:
     """Probabilities, verdict and ambiguity group. ``samples`` are the residuals of training and held-out trial."""
     z = logits(plain, candidates, samples, calibration)
@@ -221,7 +240,7 @@ def cost_of_answer(
     plain: Candidate,
     candidates: Sequence[Candidate],
     samples: tuple[int, int],
-    calibration: Mapping[str, float],
+    calibration: DiagnosisCalibrationSettings,
 ) -> float:
     """What the answer leaves of chi-squared on both trials, and a price for its parameters and laws.
 
@@ -241,7 +260,7 @@ def cost_of_answer(
 
 
 def _shares(
-    plain: Candidate, candidates: Sequence[Candidate], p: np.ndarray, c: Mapping[str, float]
+    plain: Candidate, candidates: Sequence[Candidate], p: np.ndarray, c: DiagnosisCalibrationSettings
 ) -> dict[str, float]:
     """Probability of each effect from that of the sets, ``p`` (candidates,): a set's is shared by what they earn."""
     shares: dict[str, float] = {}
@@ -264,7 +283,7 @@ def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, makeshi
 
 
 def _earned(
-    candidate: Candidate, plain: Candidate, candidates: Sequence[Candidate], c: Mapping[str, float]
+    candidate: Candidate, plain: Candidate, candidates: Sequence[Candidate], c: DiagnosisCalibrationSettings
 ) -> np.ndarray:
     """Shares (names,) of a set's probability, by what the set loses when it has to do without each effect.
 

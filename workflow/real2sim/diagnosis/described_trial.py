@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
-from real2sim.diagnosis.system_evidence import MARKER_FLOOR_M, Measured, Simulated, SystemEvidence
+from real2sim.diagnosis.system_evidence import Measured, Simulated, SystemEvidence
 from real2sim.effects.base import Scales
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.system_replay import Setup
@@ -25,16 +26,13 @@ from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
 from real2sim.system.plant import RestPose
 from real2sim.system.replay import servo_command
 
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisDescribedSettings
+
 # Order of the zero-phase low-pass of drive and coordinates
 _ORDER = 4
 # Degree of the spline that a driven joint follows: the drive needs its acceleration
 _DEGREE = 5
-# The start is the mean of so long [s], and of all samples until anything moves by so many SD of its noise
-_START_S, _MOVED_SD = 0.2, 6.0
-# A recording that begins with so long of standing still [s] starts at rest; else a cubic over as long tells the start
-_STILL_S = 0.3
-# SD of the rate at the start of a recording that begins in motion, as a share of a large rate
-_RATE_SHARE = 0.05
 _TINY = 1e-12
 
 
@@ -59,19 +57,28 @@ class DescribedTrial:
     """One recording of a described system, with the quiet one that noise and rest pose are measured in.
 
     Without a quiet recording, noise is measured in the recording itself and coordinates are zero as in the model.
+    ``settings`` is the slice ``diagnosis.described`` of the configuration.
     """
 
-    def __init__(self, system: System, recording: Recording, quiet: Recording | None, threads: int = 1):
+    def __init__(
+        self,
+        system: System,
+        recording: Recording,
+        quiet: Recording | None,
+        settings: DiagnosisDescribedSettings,
+        threads: int = 1,
+    ):
         self._system, self._recording, self._threads = system, recording, threads
+        self._settings = settings
         self._quiet = quiet
         self._rate = recording.rate_hz
         self._cutoff = min(system.band_hz, 0.4 * self._rate)
         self._levels = quiet if quiet is not None else recording
         self._logs = {j: recording.columns[c] for j, c in log_columns(system).items()}
         self._pose = system.drive.by == POSE
+        self._start = self._start_samples()
         self._anchor = self._anchor_of() if self._pose else None
         self._segment = self._segment_of(recording) if self._pose else None
-        self._start = self._start_samples()
         self._plain, self._solver = self._model()
         self._position, self._rate_of = self._paths()
 
@@ -116,6 +123,15 @@ class DescribedTrial:
                 "a recording of standing still, in which the coordinates of the interface are zero",
                 "Pass quiet=..., and set interface.rest to quiet.",
             )
+        least, lasts = self._settings["least_quiet_s"], len(self._quiet.time_s) / self._quiet.rate_hz
+        if lasts < least:
+            raise InputError(
+                self._quiet.name,
+                "quiet",
+                f"{lasts:.1f} s",
+                f"at least {least:g} s of standing still",
+                "Record longer.",
+            )
         rotation, position = self._relative(self._quiet)
         return Anchor(middle, RestPose(mean_rotation(rotation), position.mean(axis=0)))
 
@@ -135,8 +151,18 @@ class DescribedTrial:
     def _smooth_pose(self, rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         first = rotation[0]
         vectors = Rotation.from_matrix(first.T @ rotation).as_rotvec()
-        smooth = self._lowpass(np.hstack([position, vectors]))
+        smooth = self._lowpass(self._standing_still(np.hstack([position, vectors])))
         return first @ Rotation.from_rotvec(smooth[:, 3:]).as_matrix(), smooth[:, :3]
+
+    def _standing_still(self, values: np.ndarray) -> np.ndarray:
+        """Return what drives (n, c) at its mean for as long as nothing moves.
+
+        A machine in static equilibrium keeps the noise of the first pose as an offset for the whole trial.
+        """
+        out = values.copy()
+        if self._still:
+            out[: self._start] = np.nanmean(values[: self._start], axis=0)
+        return out
 
     def _lowpass(self, values: np.ndarray) -> np.ndarray:
         return signals.lowpass(signals.bridged(values), self._rate, self._cutoff, _ORDER)
@@ -146,10 +172,10 @@ class DescribedTrial:
     def _start_samples(self) -> int:
         """Samples until anything that is measured moves."""
         columns = np.column_stack(list(self._recording.columns.values()))
-        first = max(3, round(_START_S * self._rate))
+        first = max(3, round(self._settings["first_s"] * self._rate))
         before = np.nanmean(columns[:first], axis=0)
         sd = np.maximum(white_sd(columns), 1e-9)
-        moved = (np.abs(columns - before) > _MOVED_SD * sd).any(axis=1)
+        moved = (np.abs(columns - before) > self._settings["moved_sd"] * sd).any(axis=1)
         return max(first, int(np.argmax(moved)) if moved.any() else len(columns))
 
     def _model(self) -> tuple[mujoco.MjModel, Solver]:
@@ -208,11 +234,11 @@ class DescribedTrial:
     @property
     def _still(self) -> bool:
         """Whether the recording begins with standing still, long enough to tell where."""
-        return self._start >= round(_STILL_S * self._rate)
+        return self._start >= round(self._settings["still_s"] * self._rate)
 
     def _start_weights(self) -> np.ndarray:
         """Weights (2, n) of the first samples that give position and rate at the start, by a cubic in time."""
-        n = max(12, round(_STILL_S * self._rate))
+        n = max(12, round(self._settings["still_s"] * self._rate))
         basis = np.vander(np.arange(n) / self._rate, 4, increasing=True)
         return np.linalg.pinv(basis)[:2]
 
@@ -279,7 +305,7 @@ class DescribedTrial:
 
         A low-pass reflects a record at its ends: of one that ends in motion it bends the acceleration there.
         """
-        time_s = self._recording.time_s
+        time_s, columns = self._recording.time_s, self._standing_still(columns)
         spans = round((time_s[-1] - time_s[0]) * 2 * self._cutoff)
         if spans >= len(time_s) - _DEGREE:
             return make_interp_spline(time_s, columns, k=_DEGREE)
@@ -356,7 +382,7 @@ class DescribedTrial:
         q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))
         scales = Scales(_large(q), _large(v), ones, ones, ones)
-        return SystemEvidence(measured, simulated, self._context(measured, q, v), scales)
+        return SystemEvidence(measured, simulated, self._context(measured, q, v), scales, self._settings)
 
     def _measured(self) -> Measured:
         system, recording = self._system, self._recording
@@ -371,7 +397,7 @@ class DescribedTrial:
         quiet_outputs = levels.stack(tuple(o.column for o in system.outputs))
         quiet = quiet_outputs if quiet_markers is None else np.hstack([quiet_markers, quiet_outputs])
         floor = np.array(
-            [MARKER_FLOOR_M] * (3 * len(marker_names))
+            [self._settings["marker_floor_m"]] * (3 * len(marker_names))
             + [max(o.trusted_to, _TINY) for o in system.outputs]
             + [j.trusted_to for j in system.machine if j.logged]
         )
@@ -410,7 +436,7 @@ class DescribedTrial:
         if self._still:
             return out, {}
         # a cubic does not tell a rate that changes within the window: it is as good as unknown
-        rates = {j: _RATE_SHARE * float(_large(self._rate_of[j])) for j in out}
+        rates = {j: self._settings["rate_share"] * float(_large(self._rate_of[j])) for j in out}
         return out, rates
 
     def _rest_sd(self) -> np.ndarray:

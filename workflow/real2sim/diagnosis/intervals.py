@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.identifiability import interval_verdict
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 
 @dataclass(frozen=True)
@@ -24,9 +27,7 @@ class Known:
     verdict: str
 
 
-def parameter_verdicts(
-    pair: Pair, hypothesis: Hypothesis, samples: int, settings: dict[str, Any]
-) -> list[Known]:
+def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: Settings) -> list[Known]:
     """Return what a fit says of each parameter of the system, as the identification does.
 
     ``unbiased`` is the fitted value, less its bias by noise of the drive (``bias_ln``) where that is more than its SD

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,6 +20,9 @@ from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent
 from real2sim.system.description import System
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSearchSettings
 
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
@@ -67,7 +70,9 @@ def conflict(effects: Sequence[Placed]) -> bool:
 class Search:
     """Screening and refits on one pair of trials."""
 
-    def __init__(self, pair: Pair, settings: dict[str, Any], progress: Callable[[str], None] | None = None):
+    def __init__(
+        self, pair: Pair, settings: DiagnosisSearchSettings, progress: Callable[[str], None] | None = None
+    ):
         self.pair, self._settings = pair, settings
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
@@ -86,10 +91,11 @@ class Search:
         ``tangent``, where one was taken near the start, spares the first Jacobian as far as it foretells the start.
         """
         residuals = self._residuals(effects, coarse=not final)
-        kind = "final_" if final else ""
-        iterations, ftol = (self._settings[f"{kind}{key}"] for key in ("iterations", "ftol"))
-        # what the verdict rests on takes a new Jacobian at every step
-        keep = 0.0 if final else self._settings["keep_jacobian"]
+        own = self._settings
+        iterations, ftol, keep = own["iterations"], own["ftol"], own["keep_jacobian"]
+        if final:
+            # what the verdict rests on takes a new Jacobian at every step
+            iterations, ftol, keep = own["final_iterations"], own["final_ftol"], 0.0
         z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=keep, known=tangent)
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.system, coarse=not final)
         if len(held_out.free):

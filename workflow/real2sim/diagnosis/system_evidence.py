@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -21,14 +21,11 @@ from real2sim.effects.system_replay import Setup, SystemReplay, substeps
 from real2sim.recording.skin import Skin
 from real2sim.system.description import System
 
-# Band edges as shares of the band in which a system moves
-_EDGES = (0.0, 0.015, 0.03, 0.06, 0.12, 0.24, 0.48, 1.0)
-# No marker is trusted beyond this [m]
-MARKER_FLOOR_M = 5e-5
-# Jumps of a channel stand out of what a simulation leaves of it by so many SD
-SPIKE_SD = 8.0
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisDescribedSettings
+
+# Spans of time that a gap is told by
 _TIME_SPANS = 6
-_SHIFT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -79,12 +76,13 @@ class Simulated:
 
 @dataclass(frozen=True)
 class SystemEvidence:
-    """One trial of a described system, see `Evidence`."""
+    """One trial of a described system, see `Evidence`; ``settings`` is the slice ``diagnosis.described``."""
 
     measured: Measured
     simulated: Simulated
     context: Context
     scales: Scales
+    settings: DiagnosisDescribedSettings
     settled: bool = False
     held_out: bool = False
     whitening: Whitening | None = None
@@ -124,7 +122,11 @@ class SystemEvidence:
     def bands(self) -> Bands:
         """Bands of frequency within which the noise is taken as equal."""
         top = min(self.system.band_hz, 0.4 * self.rate_hz)
-        return Bands(tuple(top * e for e in _EDGES), len(self.measured.time_s), 1 / self.rate_hz)
+        return Bands(
+            tuple(top * e for e in (0.0, *self.settings["band_shares"])),
+            len(self.measured.time_s),
+            1 / self.rate_hz,
+        )
 
     @property
     def noise(self) -> np.ndarray:
@@ -204,14 +206,16 @@ class SystemEvidence:
         return replace(self, scales=Scales(self.scales.q, self.scales.v, k, d, inertia))
 
     def _typical_force(self, replay: SystemReplay) -> np.ndarray:
-        """Large force (axes,) of a drive by force on each axis; 0 where there is none."""
-        out = np.zeros(len(self.system.axes))
-        if self.system.drive.by == "force":
-            for column, joint in enumerate(self.system.drive.columns):
-                if joint in self.system.axis_joints:
-                    commands = np.abs(replay._commands[0, :, column])
-                    out[self.system.axis_joints.index(joint)] = np.percentile(commands, 95)
-        return out
+        """Large force (axes,) on each axis, imposed or measured where the motion is imposed; 0 where there is none."""
+        system = self.system
+        forces: dict[str, np.ndarray] = {}
+        if system.drive.by == "force":
+            forces = dict(zip(system.drive.columns, replay._commands[0].T, strict=True))
+        for output, seen in zip(system.outputs[::-1], self.measured.observed.T[::-1], strict=False):
+            if output.quantity == "force":
+                forces[output.joint] = seen[np.isfinite(seen)]
+        own = [np.abs(forces.get(joint, np.zeros(1))) for joint in system.axis_joints]
+        return np.array([np.percentile(force, 95) for force in own])
 
     def with_noise(self, parameters: np.ndarray, draws: int, seed: int) -> SystemEvidence:
         """The same trial, whitened by noise simulated at parameters (p,)."""
@@ -295,7 +299,7 @@ class SystemEvidence:
         """The same trial with samples marked where observations jump out of simulated ones (n, c); self for none."""
         error = paths - self.measured.observed
         usual = np.nanmedian(np.abs(error - np.nanmedian(error, axis=0)), axis=0) / 0.6745
-        limit = SPIKE_SD * np.hypot(usual, self.measured.observed_sd)
+        limit = self.settings["spike_sd"] * np.hypot(usual, self.measured.observed_sd)
         found = (np.abs(error) > limit) | self.context.spikes
         if not (found & ~self.context.spikes).any():
             return self

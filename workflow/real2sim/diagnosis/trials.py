@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
 from real2sim.system.description import System
 
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
+
 
 @dataclass(frozen=True)
 class Trials:
@@ -50,7 +53,7 @@ class Trials:
     held_out: str
     system: System
     load: Callable[[str, bool], Evidence]
-    options: dict[str, Any]
+    options: DiagnosisSettings
     progress: Callable[[str], None]
     places: Callable[[Pair], list[Placed]] | None = None
 
@@ -96,7 +99,7 @@ class Found:
         """The initial-state hypothesis that it was searched under."""
         return BALANCE if self.pair.train.settled else START_POSE
 
-    def cost(self, options: dict[str, Any]) -> float:
+    def cost(self, options: DiagnosisSettings) -> float:
         """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
         sets = candidates_of(self.attribution, options)
         return cost_of_answer(*sets, self.attribution.samples, options["calibration"])
@@ -121,7 +124,7 @@ def _with_noise(pair: Pair, parameters: np.ndarray, draws: int, seed: int) -> Pa
     return replace(pair, train=train, held_out=held_out)
 
 
-def looks_settled(pair: Pair, plain: Hypothesis, options: dict[str, Any]) -> bool:
+def looks_settled(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) -> bool:
     """Whether a machine in equilibrium explains much of what one that is released leaves: of all, or before it moves.
 
     A machine that was held at its start pose in the first sample is released there by an interface that pulls; one that
@@ -198,7 +201,7 @@ def search_both_ways(trials: Trials) -> Outcome:
     return Outcome(again, second, other, True)
 
 
-def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict[str, Any]) -> bool:
+def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSettings) -> bool:
     """Whether the plain fit (n,) leaves nothing but noise of the fitted trial, and of the other enough to explain.
 
     A stop, say, that only the second trial reaches: what is fitted to the first learns nothing of it.
@@ -210,7 +213,7 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: dict[str, Any
     return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
 
 
-def candidates_of(attribution: Attribution, options: dict[str, Any]) -> tuple[Candidate, list[Candidate]]:
+def candidates_of(attribution: Attribution, options: DiagnosisSettings) -> tuple[Candidate, list[Candidate]]:
     """Return the plain plant and every refitted set as the decision sees them; ``options``: slice ``diagnosis``."""
     samples = sum(attribution.samples)
     noise = samples + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples)
@@ -227,7 +230,7 @@ def candidates_of(attribution: Attribution, options: dict[str, Any]) -> tuple[Ca
     ]
 
 
-def conclude(found: Found, options: dict[str, Any]) -> Decision:
+def conclude(found: Found, options: DiagnosisSettings) -> Decision:
     """Return the decision, once the sets that it rests on have converged; changes those hypotheses in place."""
     pair, attribution = found.pair, found.attribution
     converged: set[int] = set()

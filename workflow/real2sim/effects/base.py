@@ -8,7 +8,7 @@ what goes into a simulation and what comes out. Nothing here names a joint, an a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Protocol
 
@@ -55,13 +55,17 @@ class InterfaceImpedance:
 
 @dataclass(frozen=True)
 class Where:
-    """Where an effect acts: axis indices of a system, a side (+1, -1, 0 for none), a variant; and whose place it is."""
+    """Where an effect acts: axis indices of a system, a side (+1, -1, 0 for none), a variant; and whose place it is.
+
+    ``machine_joint`` is the joint of the machine that an effect of the machine acts on, empty for none.
+    """
 
     system: System = field(repr=False, compare=False)
     axes: tuple[int, ...] = ()
     side: int = 0
     variant: str = ""
     owner: str = ""
+    machine_joint: str = ""
 
     @property
     def axis_names(self) -> list[str]:
@@ -72,7 +76,7 @@ class Where:
     def tag(self) -> str:
         """Suffix for the names of what is built there."""
         side = {1: "_upper", -1: "_lower", 0: ""}[self.side]
-        return "_".join(self.axis_names) + side + self.variant
+        return self.machine_joint + "_".join(self.axis_names) + side + self.variant
 
     @property
     def element(self) -> str:
@@ -274,7 +278,8 @@ class Effect:
     group
         Label under which the suite's score counts effects as one answer; its name by default.
     scope
-        "axis", "turn" (one of the rotations), "side" (axis and direction), "pair" (of axes) or "whole".
+        "axis", "turn" (one of the rotations), "side" (axis and direction), "pair" (of axes), "joint" (of the machine,
+        with a controller) or "whole".
     needs
         What a system must offer (`System.offers`) for the effect to make sense there.
     remedy
@@ -328,6 +333,9 @@ class Effect:
             return [self.place(system, (axis,)) for axis in axes if system.axes[axis].rotational]
         if self.scope == "side":
             return [self.place(system, (axis,), side) for axis in axes for side in (1, -1)]
+        if self.scope == "joint":
+            held = [joint.name for joint in system.machine if joint.impedance is not None]
+            return [replace(self.place(system), machine_joint=name) for name in held]
         if self.scope == "pair":
             return [self.place(system, pair) for pair in combinations(axes, 2)]
         return (

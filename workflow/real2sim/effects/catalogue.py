@@ -61,9 +61,22 @@ _MODULES = (
 )
 
 STAGES = ("input", "interface", "robot", "output")
-SCOPES = ("axis", "turn", "side", "pair", "whole")
+SCOPES = ("axis", "turn", "side", "pair", "joint", "whole")
 OFFERS = frozenset(
-    ("pose", "path", "force", "base", "arm", "interface_body", "six_axes", "markers", "bar", "pelvis_markers")
+    (
+        "pose",
+        "path",
+        "force",
+        "base",
+        "arm",
+        "controllers",
+        "passive_joints",
+        "interface_body",
+        "six_axes",
+        "markers",
+        "bar",
+        "pelvis_markers",
+    )
 )
 
 

@@ -44,6 +44,25 @@ class RobotImpedance(Mechanism):
             fields["dof_armature"][:, dof] = fields.model.dof_armature[dof] + (base - damping) * h / 2
 
 
+class JointImpedance(Mechanism):
+    """`RobotImpedance` of the one joint of the machine that it is placed at: ln-factors on stiffness and damping."""
+
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
+        """Scale."""
+        RobotImpedance((where.machine_joint,)).set(fields, where, impedance, values)
+
+
+class PassiveDamping(Mechanism):
+    """All joints of the machine without a controller damped by one factor, whose logarithm is the value (m, 1)."""
+
+    def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
+        """Scale."""
+        joints = tuple(joint.name for joint in where.system.machine if joint.impedance is None)
+        factors = np.zeros((len(values), 2 * len(joints)))
+        factors[:, 1::2] = values
+        RobotImpedance(joints).set(fields, where, impedance, factors)
+
+
 class RobotRelaxation(Mechanism):
     """Joints of the robot with a spring and a damper in series beside their own impedance.
 
@@ -222,6 +241,37 @@ EFFECTS = (
         scope="whole",
         needs=frozenset({"base"}),
         plant=RobotImpedance(BASE_JOINTS),
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "a joint of the machine yields other than described",
+        tuple(
+            EffectParameter(f"ln_{what}", "1", -3.0, 3.0, (-0.3,), prior_sd=1.0)
+            for what in ("stiffness", "damping")
+        ),
+        separating_trial="the machine's own log while its end is pushed, without a person",
+        at_rest=AtRest((0.0, 0.0)),
+        confusable=LOADS,
+        group="M",
+        scope="joint",
+        needs=frozenset({"controllers"}),
+        plant=JointImpedance(),
+        form="_joint",
+    ),
+    Effect(
+        "base_compliance",
+        "robot",
+        "the joints of the machine that no controller holds are damped other than described",
+        (EffectParameter("ln_damping", "1", -3.0, 3.0, (-0.3, 0.3), prior_sd=1.0),),
+        separating_trial="the machine's own log while its end is pushed, without a person",
+        at_rest=AtRest((0.0,)),
+        confusable=LOADS,
+        group="M",
+        scope="whole",
+        needs=frozenset({"passive_joints"}),
+        plant=PassiveDamping(),
+        form="passive",
     ),
     Effect(
         "base_compliance",

@@ -110,6 +110,8 @@ class SystemReplay:
         self._joints = [model.joint(name) for name in system.axis_joints]
         self._start = self._start_state()
         self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
+        # simulations whose segment would have to be driven farther than it can be
+        self._failed, self._impossible = np.zeros(nsim, bool), set[bytes]()
         self._chains = [i for i, p in enumerate(self.effects) if p.effect.chains.input is not None]
 
     def _sense(self, spec: mujoco.MjSpec) -> Channels:
@@ -278,6 +280,7 @@ class SystemReplay:
             force = plant.force(value, self._context, where, impedance)
             if force is not None:
                 self._control[:m, :, plant.columns(self.model, where)] += force
+        self._failed[:] = False
         for i in self._chains:
             self._write_input_chain(self.effects[i], values[i], m)
         for placed, value in zip(self.effects, values, strict=True):
@@ -296,7 +299,13 @@ class SystemReplay:
         for k in range(m):
             key = values[k].tobytes()
             if key not in changed:
-                changed[key] = self.command_for(*chain(values[k], context)) - plain
+                try:
+                    changed[key] = self.command_for(*chain(values[k], context)) - plain
+                except ValueError:
+                    # farther than a segment can be driven: no simulation, like one that MuJoCo gives up on
+                    changed[key] = np.zeros_like(plain)
+                    self._impossible.add(key)
+            self._failed[k] |= key in self._impossible
             self._control[k, :, self._drive] += changed[key]
 
     def _update_constants(self, fields: Fields, m: int) -> None:
@@ -372,7 +381,7 @@ class SystemReplay:
             column = 3 * self.channels.markers + self.channels.outputs.index(output.column)
             out[:, :, column] = self._drive_force(fields, done, output.joint, m)
         warning = self._batch.warning[:m]
-        out[warning.any(axis=tuple(range(1, warning.ndim)))] = np.nan
+        out[warning.any(axis=tuple(range(1, warning.ndim))) | self._failed[:m]] = np.nan
         return np.asarray(out)
 
     def _drive_force(self, fields: Fields, done: Mapping[str, np.ndarray], joint: str, m: int) -> np.ndarray:

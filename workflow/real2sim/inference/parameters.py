@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +35,7 @@ class Bounds:
     upper: np.ndarray
 
     @classmethod
-    def from_config(cls, bounds: dict[str, list[float]]) -> Bounds:
+    def from_config(cls, bounds: Mapping[str, Any]) -> Bounds:
         """Read ``{name: [lower, upper]}``; KeyError names a missing parameter."""
         table = np.array([bounds[name] for name in PARAMETERS], dtype=float)
         return cls(table[:, 0], table[:, 1])

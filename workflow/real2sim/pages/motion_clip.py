@@ -21,6 +21,9 @@ from real2sim.recording.trial import Trial, TrialModel, trial_model, with_step
 from real2sim.study.fit import best_of
 
 if TYPE_CHECKING:
+    from real2sim.settings import Settings
+
+if TYPE_CHECKING:
     from PIL import Image
 
 FRAMES_PER_S = 12
@@ -37,7 +40,7 @@ def motion_clip(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
     seconds: float = 8.0,
 ) -> None:

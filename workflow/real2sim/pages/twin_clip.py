@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -19,6 +19,9 @@ from real2sim.study.twin.coupled import Condition, CoupledWalk
 from real2sim.study.twin.policy import load_policy
 from real2sim.study.twin.stage import read_prior
 from real2sim.system.plant import RestPose
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 SIZE = (400, 300)  # of a frame [pixels]
 FRAMES_PER_S = 14
@@ -99,7 +102,7 @@ def twin_clip(
     limits: Path,
     neutral: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
     backend: str = "egl",
     seconds: float = 6.0,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from real2sim.recording.formats.recordings import CoordinateRecording, Finding, 
 from real2sim.recording.formats.robot_log import ARM_JOINTS
 from real2sim.recording.quality import markers
 from real2sim.recording.subjects import TrialFiles, parse_trial, read_subject
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSettings
 
 OUR_MARKERS = (*geometry.PELVIS_MARKERS, *geometry.INTERFACE_MARKERS, "LHEE", "RHEE", "LTOE", "RTOE")
 WRENCH = ("wrench_fx", "wrench_fy", "wrench_fz", "wrench_tx", "wrench_ty", "wrench_tz")
@@ -38,7 +42,7 @@ class _Trial:
     subject: str
     name: str
     phantom: bool
-    settings: dict[str, Any]
+    settings: IngestSettings
     tsv: Path
     mot: Path
     log: Path | None
@@ -93,7 +97,7 @@ def _required_markers(trial: _Trial, positions: dict[str, np.ndarray]) -> list[s
     return required
 
 
-def lab_to_world(axes: dict[str, str]) -> np.ndarray:
+def lab_to_world(axes: Mapping[str, Any]) -> np.ndarray:
     """Rotation (3, 3) from lab to world axes, of e.g. ``{x: "+x", y: "+y", z: "+z"}``: world axis, lab axis.
 
     Raises InputError unless the result is a right-handed set of axes.
@@ -664,7 +668,7 @@ def ingest_trial(
     files: TrialFiles,
     neutral: Path | None,
     marker_names: dict[str, str],
-    settings: dict[str, Any],
+    settings: IngestSettings,
     phantom: bool,
     out: Path,
 ) -> dict[str, Any]:
@@ -780,7 +784,7 @@ def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: d
 
 
 def ingest_subject(
-    *, subject: str, folder: Path, settings: dict[str, Any], raw: list[Path], out: Path
+    *, subject: str, folder: Path, settings: IngestSettings, raw: list[Path], out: Path
 ) -> None:
     """Write the tables of all trials of one person to ``<out>/<TRIAL>/``, see `ingest_trial`.
 

@@ -7,14 +7,18 @@ does. The pose is taken from those as long as it lasts: the replayed pelvis woul
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from real2sim import signals
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
 from real2sim.recording.trial import Trial, usable
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisJumpsSettings
 
 
 @dataclass(frozen=True)
@@ -27,11 +31,14 @@ class JumpRule:
 
     rate_hz: float
     cutoff_hz: float
-    options: dict[str, Any]
+    options: DiagnosisJumpsSettings
 
     def reach(self, name: str) -> float:
         """Return an option that is a time [s], longer where the low-pass is slower and smears further."""
-        return float(self.options[name] * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz))
+        return float(
+            cast("Mapping[str, float]", self.options)[name]
+            * max(1.0, self.options["smear_cutoff_hz"] / self.cutoff_hz)
+        )
 
 
 def spikes(paths: np.ndarray, rule: JumpRule, sd: float | None = None) -> np.ndarray:

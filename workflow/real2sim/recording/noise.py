@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -22,6 +22,9 @@ from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS
 from real2sim.recording.quality.markers import MARKERS, distances, stacked
 from real2sim.recording.tables import interface_path, measured_coordinates
 from real2sim.system.plant import ROBOT_JOINTS
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisNoiseSettings, IngestSettings
 
 # Grid of the search for slow noise: power relative to the white noise at low frequencies, corner above which the power
 # falls, exponent of the fall, and the most components
@@ -91,10 +94,10 @@ class Bands:
     log_standing_hz: tuple[float, float]
     log_moving_hz: tuple[tuple[float, float], ...]
     edges_hz: tuple[float, ...]
-    options: dict[str, Any]
+    options: DiagnosisNoiseSettings
 
     @classmethod
-    def from_settings(cls, ingest: dict[str, Any], options: dict[str, Any]) -> Bands:
+    def from_settings(cls, ingest: IngestSettings, options: DiagnosisNoiseSettings) -> Bands:
         """Return the bands for the slices ``ingest`` and ``diagnosis.noise`` of the configuration.
 
         Raises InputError where cut-off and rate leave none.
@@ -187,7 +190,7 @@ class NoiseModel:
     colour: np.ndarray
 
     @classmethod
-    def measure(cls, neutral: Path, ingest: dict[str, Any], options: dict[str, Any]) -> NoiseModel:
+    def measure(cls, neutral: Path, ingest: IngestSettings, options: DiagnosisNoiseSettings) -> NoiseModel:
         """Return the model of the neutral trial in folder ``neutral`` (results/trials/<SUBJECT>/neutral).
 
         ``ingest`` and ``options`` are the slices ``ingest`` and ``diagnosis.noise`` of the configuration.

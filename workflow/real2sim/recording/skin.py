@@ -8,12 +8,15 @@ marker that slides a little is no reason for a gap.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from real2sim.geometry import pelvis_frame
 from real2sim.signals import steady_and_fading
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSkinSettings
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Skin:
 
 
 def skin_of(
-    time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options: dict[str, Any]
+    time_s: np.ndarray, markers: np.ndarray, shape: np.ndarray, options: DiagnosisSkinSettings
 ) -> Skin | None:
     """Return what pelvis markers (n, 4, 3) [m, world] say, given where they are on the pelvis, ``shape`` (4, 3) [m].
 

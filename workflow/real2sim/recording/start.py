@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,12 +16,15 @@ from scipy.spatial.transform import Rotation
 from real2sim.recording.trial import Trial
 from real2sim.system.plant import interface_pose_at, load_robot, robot_pose_for
 
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisStartSettings
+
 # Step of the joints that says what they do to the interface [m, rad]
 _STEP = 1e-5
 
 
 def at_first(
-    robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray, options: dict[str, Any]
+    robot: np.ndarray, start: int, rate_hz: float, sd: np.ndarray, options: DiagnosisStartSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how far (6,) [m, rad] the robot's joints were, when first seen, from their mean while all stand; and SD.
 

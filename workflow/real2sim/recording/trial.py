@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,6 +16,9 @@ from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, mean_rotation, 
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.system.plant import JointLimits, RestPose
 from real2sim.system.replay import Replay
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 
 @dataclass(frozen=True)
@@ -112,10 +115,10 @@ def load_limits(path: Path) -> JointLimits:
     return JointLimits(np.array(content["q_min"], float), np.array(content["q_max"], float))
 
 
-def with_step(settings: dict[str, Any], step: Path) -> dict[str, Any]:
+def with_step(settings: Settings, step: Path) -> Settings:
     """Settings whose ``plant.timestep_s`` is the one that a person's step study chose."""
     chosen = read_json(step, ("timestep_s",))["timestep_s"]
-    return settings | {"plant": settings["plant"] | {"timestep_s": chosen}}
+    return {**settings, "plant": {**settings["plant"], "timestep_s": chosen}}
 
 
 @dataclass
@@ -135,7 +138,7 @@ class TrialModel:
 
 
 def replay_inputs(
-    trial: Trial, limits: JointLimits | None, robot: Path, settings: dict[str, Any]
+    trial: Trial, limits: JointLimits | None, robot: Path, settings: Settings
 ) -> dict[str, Any]:
     """What every kind of `Replay` takes of a trial; ``settings`` has the slices ``plant`` and ``robot``."""
     return {
@@ -156,7 +159,7 @@ def replay_of(
     trial: Trial,
     limits: JointLimits | None,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     *,
     nsim: int,
     scale: dict[str, float] | None = None,
@@ -172,7 +175,7 @@ def trial_model(
     markers: Path,
     limits: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     nsim: int,
     threads: int = 1,
 ) -> TrialModel:

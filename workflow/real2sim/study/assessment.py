@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -20,12 +20,15 @@ from real2sim.study.fit import best_of
 from real2sim.system.plant import INERTIAL_CONSTANTS
 from real2sim.system.replay import Replay
 
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSettings, RobotSettings, Settings
+
 # Slice ``robot`` of the configuration: group of joints, axis, stiffness and damping
 Controllers = dict[str, dict[str, dict[str, float]]]
 
 
 def with_pelvis_noise(
-    trial: Trial, noise_m: np.ndarray, settings: dict[str, Any], rng: np.random.Generator
+    trial: Trial, noise_m: np.ndarray, settings: IngestSettings, rng: np.random.Generator
 ) -> Trial:
     """Return a trial whose pelvis markers carry more noise: white, SD (4,) [m], through the pipeline's own low-pass."""
     rate = 1 / float(trial.time_s[1] - trial.time_s[0])
@@ -57,7 +60,7 @@ class InputNoise:
         MJCF and the slices ``identifiability``, ``ingest``, ``plant`` and ``robot`` of the configuration.
     """
 
-    def __init__(self, model: TrialModel, noise_m: np.ndarray, *, robot: Path, settings: dict[str, Any]):
+    def __init__(self, model: TrialModel, noise_m: np.ndarray, *, robot: Path, settings: Settings):
         options = settings["identifiability"]
         rng = np.random.default_rng(options["seed"])
         trials = [
@@ -92,7 +95,7 @@ def robot_sensitivity(
     free: np.ndarray,
     *,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> dict[str, dict[str, float]]:
     """Return how far each parameter moves, in per cent, if an assumed constant of the robot is 10 % larger.
 
@@ -100,9 +103,10 @@ def robot_sensitivity(
     the controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out.
     """
     gain = np.linalg.pinv(jacobian[:, free], rcond=1e-8)
+    controllers: Controllers = dict(cast(Controllers, settings["robot"]))
     constants = [
         (f"{group}.{axis}.{kind}", group, axis, kind)
-        for group, axes in settings["robot"].items()
+        for group, axes in controllers.items()
         for axis in axes
         for kind in ("stiffness", "damping")
     ]
@@ -110,14 +114,19 @@ def robot_sensitivity(
 
     def residual(changed: Controllers, scale: dict[str, float] | None) -> np.ndarray:
         replay = replay_of(
-            model.trial, model.limits, robot, settings | {"robot": changed}, nsim=1, scale=scale
+            model.trial,
+            model.limits,
+            robot,
+            {**settings, "robot": cast("RobotSettings", changed)},
+            nsim=1,
+            scale=scale,
         )
         return np.asarray(model.cost.residuals(replay.run(parameters[None]))[0])
 
     def changed_controller(group: str, axis: str, kind: str, factor: float) -> Controllers:
-        own: Controllers = settings["robot"]
-        one = own[group][axis] | {kind: own[group][axis][kind] * factor}
-        return own | {group: own[group] | {axis: one}}
+        own = controllers[group]
+        one = own[axis] | {kind: own[axis][kind] * factor}
+        return controllers | {group: own | {axis: one}}
 
     def moved(up: np.ndarray, down: np.ndarray) -> dict[str, float]:
         change = -gain @ (up - down) / 2
@@ -127,7 +136,7 @@ def robot_sensitivity(
         up, down = (residual(changed_controller(group, axis, kind, f), None) for f in (1.1, 1 / 1.1))
         out[name] = moved(up, down)
     for name in INERTIAL_CONSTANTS:
-        up, down = (residual(settings["robot"], {name: f}) for f in (1.1, 1 / 1.1))
+        up, down = (residual(controllers, {name: f}) for f in (1.1, 1 / 1.1))
         out[name] = moved(up, down)
     return out
 
@@ -139,7 +148,7 @@ def assess_model(
     noise_m: np.ndarray | None,
     *,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     fitted: np.ndarray | None = None,
 ) -> Assessment:
     """Return verdicts on a fit (12,) of a trial, with intervals corrected for the noise of the input.
@@ -189,7 +198,7 @@ def assessment(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Assess the best restart of one trial and write what it determines.

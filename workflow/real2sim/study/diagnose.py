@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,10 +22,13 @@ from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import StrapEvidence
 from real2sim.study.strap_recording import load_evidence
 
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
+
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
-def _time_step(settings: dict[str, Any], step: Path | None) -> float:
+def _time_step(settings: Settings, step: Path | None) -> float:
     """Return the time step [s] of the person's step study, of the configuration, or the largest that suits the clock.
 
     That is the study's largest candidate, or where it does not divide the sample interval, the largest step below it
@@ -48,7 +51,7 @@ def strap_trials(
     neutral: Path,
     limits: Path | None,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     progress: Callable[[str], None],
     threads: int = 1,
 ) -> Trials:
@@ -89,7 +92,7 @@ def diagnose(
     held_out: Path,
     neutral: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
     limits: Path | None = None,
     step: Path | None = None,

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.quality.verdict import require
 from real2sim.recording.trial import TrialModel, trial_model, with_step
 from real2sim.system.replay import replay_check
+
+if TYPE_CHECKING:
+    from real2sim.settings import IdentificationSettings, Settings
 
 _PACKAGES = ["mujoco", "cma", "numpy", "scipy"]
 # A point and its 12 neighbours: one Jacobian by finite differences
@@ -57,7 +60,7 @@ class _Progress:
 def _search(
     model: TrialModel,
     bounds: Bounds,
-    ident: dict[str, Any],
+    ident: IdentificationSettings,
     seeds: list[int],
     progress: Callable[[int, float], None],
 ) -> list[SearchResult]:
@@ -94,7 +97,7 @@ def _search(
     return results
 
 
-def _batch_size(ident: dict[str, Any], restarts: int) -> int:
+def _batch_size(ident: IdentificationSettings, restarts: int) -> int:
     """Return the number of replays in one batch."""
     return min(LARGEST_BATCH, ident["population"] * restarts) if ident["method"] == "cma" else BATCH
 
@@ -109,7 +112,7 @@ def fit_trial(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: list[Path],
     gates: list[Path] | None = None,
     threads: int = 1,
@@ -161,7 +164,7 @@ def fit_trial(
 
 
 def _outcome(
-    model: TrialModel, result: SearchResult, bounds: Bounds, settings: dict[str, Any], pose: Path
+    model: TrialModel, result: SearchResult, bounds: Bounds, settings: Settings, pose: Path
 ) -> dict[str, Any]:
     """Return what a search found, with its replay checked."""
     paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -18,6 +18,9 @@ from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, replayed,
 from real2sim.system.plant import STRAP_JOINTS, JointLimits, RestPose
 from real2sim.system.replay import Replay, Simulated
 
+if TYPE_CHECKING:
+    from real2sim.settings import PlantSettings, Settings
+
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 # The file is compared field by field before it is written; what is left is rounding that 6000 steps carry on
@@ -30,7 +33,7 @@ def export_interface(
     poses: list[Path],
     markers: list[Path],
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
     replay: Path,
     notes: Path,
@@ -121,13 +124,13 @@ def _notes(
     )
 
 
-def _with_own_step(settings: dict[str, Any]) -> dict[str, Any]:
+def _with_own_step(settings: Settings) -> Settings:
     """Return the settings with the time step of `_own_step`."""
     plant = settings["plant"]
-    return settings | {"plant": plant | {"timestep_s": _own_step(plant)}}
+    return {**settings, "plant": {**plant, "timestep_s": _own_step(plant)}}
 
 
-def _own_step(plant: dict[str, Any]) -> float:
+def _own_step(plant: PlantSettings) -> float:
     """Return the time step [s] where no trial was there to study it: as configured, or the smallest candidate."""
     if plant["timestep_s"] == "auto":
         return float(min(plant["study"]["candidates_s"]))

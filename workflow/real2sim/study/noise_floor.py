@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from real2sim.provenance import fingerprint
 from real2sim.recording.quality.verdict import overridden_gates
 from real2sim.recording.trial import TrialModel, trial_model, with_step
 from real2sim.study.fit import best_of
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 
 def floor_of_trial(model: TrialModel, parameters: np.ndarray, options: Options) -> Floor:
@@ -35,7 +38,7 @@ def noise_floor(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Write the cost of the person's neutral trial, replayed with the best fit.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from real2sim.study.fit import BATCH, best_of
 from real2sim.study.noise_floor import floor_of_trial
 from real2sim.study.statistics.loso import overhead
 from real2sim.study.statistics.shareability import USE
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 OK = "ok"
 PREDICTION = "prediction"
@@ -229,7 +232,7 @@ def refine(
     neutral_quality: Path,
     gates: list[Path],
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     in_priors: bool,
     out: Path,
     limits: Path | None = None,
@@ -343,7 +346,7 @@ class _Person:
     neutral: _Neutral
     limits: Path
     robot: Path
-    settings: dict[str, Any]
+    settings: Settings
 
     def model(self, pose: Path, markers: Path, nsim: int) -> TrialModel:
         """Return the replay and cost of a trial, for batches of ``nsim``."""
@@ -430,7 +433,7 @@ def _refine_all(
     noise: np.ndarray | None,
     full: Mapping[str, dict[str, Any]],
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> tuple[np.ndarray, dict[str, dict[str, Any]], dict[str, Any] | None, dict[str, Any] | None]:
     """Return the person's values (12,) [SI], and figures per trial, of all together and across trials."""
     how = _how(settings)
@@ -465,7 +468,7 @@ def _refine_all(
     return values, trials, pooled, cross
 
 
-def _how(settings: dict[str, Any]) -> dict[str, Any]:
+def _how(settings: Settings) -> dict[str, Any]:
     """Return the options of `refine_residuals`."""
     options = settings["identification"]["least_squares"]
     return {"batch": BATCH, "iterations": options["iterations"], "ftol": options["ftol"]}
@@ -493,7 +496,7 @@ def _trial(
     noise: np.ndarray | None,
     full: dict[str, Any] | None,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> dict[str, Any]:
     """Compare prior, refined and full calibration on one trial, and assess the refinement."""
     vectors = [search.prior, refined.values, *([as_vector(full["parameters"])] if full else [])]
@@ -586,7 +589,7 @@ def _verdicts(
     search: Search,
     noise: np.ndarray | None,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> dict[str, AssessedParameter]:
     """Return what the trial determines of the free parameters, the others taken for known."""
     if not len(search.free):

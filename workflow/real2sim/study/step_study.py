@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from real2sim.inference.parameters import PARAMETERS, Bounds
 from real2sim.provenance import fingerprint
 from real2sim.recording.trial import TrialModel, trial_model
 from real2sim.system.replay import replay_check
+
+if TYPE_CHECKING:
+    from real2sim.settings import PlantReplayBarSettings, PlantSettings, PlantStudySettings, Settings
 
 
 def parameter_draws(published: Path, bounds: Bounds, count: int, seed: int) -> np.ndarray:
@@ -33,7 +36,7 @@ def step_study(
     limits: Path,
     robot: Path,
     published: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Replay one dynamic trial at several time steps against a fine one, and choose the largest that is exact enough.
@@ -114,18 +117,19 @@ def _run(model: TrialModel, parameters: np.ndarray) -> _Run:
     )
 
 
-def _choose(rows: list[dict[str, Any]], plant: dict[str, Any]) -> tuple[float, str]:
+def _choose(rows: list[dict[str, Any]], plant: PlantSettings) -> tuple[float, str]:
     """Return the time step [s] and how it came about, from the candidates' rows, largest step first."""
     passing = [row["timestep_s"] for row in rows if row["passes"]]
     best = passing[0] if passing else min(plant["study"]["candidates_s"])
-    chosen = best if plant["timestep_s"] == "auto" else plant["timestep_s"]
+    configured = plant["timestep_s"]
+    chosen = best if isinstance(configured, str) else configured
     if chosen in passing:
         return chosen, "ok"
     return chosen, "set by hand" if passing else "no candidate passes"
 
 
 def _row(
-    step: float, run: _Run, reference: _Run, study: dict[str, Any], bar: dict[str, float]
+    step: float, run: _Run, reference: _Run, study: PlantStudySettings, bar: PlantReplayBarSettings
 ) -> dict[str, Any]:
     """Return the errors of a step against the reference, and whether they pass the bars."""
     error = np.sqrt(np.mean(np.sum((run.paths - reference.paths) ** 2, axis=-1), axis=(1, 2)))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from real2sim.system.description import System, shipped
 from real2sim.system.plant import impedances
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 
 @cache
@@ -15,7 +18,7 @@ def _described() -> System:
     return System.from_yaml(shipped("strap") / "system.yaml")
 
 
-def strap_system(robot: Path, settings: dict[str, Any]) -> System:
+def strap_system(robot: Path, settings: Settings) -> System:
     """Return the strap with the robot's MJCF and the settings of a study.
 
     ``settings`` has the slices ``robot`` (impedances) and ``identification`` (bounds).

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -34,6 +34,9 @@ from real2sim.study import strap_localise
 from real2sim.system.description import System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.plant import STRAP_JOINTS, JointLimits
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 # Most parts of a time step while a cause is only searched for
 COARSE = 2
@@ -108,7 +111,7 @@ class PlantSetup:
     """What a replay of the trial is built from: system, settings, joint limits, threads of a simulation."""
 
     system: System
-    settings: dict[str, Any]
+    settings: Settings
     limits: JointLimits | None
     threads: int = 1
 

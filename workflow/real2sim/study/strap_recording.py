@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
 from real2sim.system.plant import impedances, load_robot
 
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
+
 
 def load_evidence(
     *,
@@ -38,7 +41,7 @@ def load_evidence(
     neutral: Path,
     limits: Path | None,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     noise: NoiseModel,
     settled: bool = False,
     threads: int = 1,
@@ -85,7 +88,7 @@ def _read(
     folder: Path,
     neutral: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     noise: NoiseModel,
     log_sd: np.ndarray,
 ) -> tuple[Recorded, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from real2sim.study.statistics.piecewise import (
     breakpoint_p_value,
     fit_piecewise,
 )
+
+if TYPE_CHECKING:
+    from real2sim.settings import TightnessSettings
 
 SIDES = {
     "dphi": ("dphi_left_deg", "dphi_right_deg"),
@@ -157,7 +160,7 @@ def side_means(rows: Sequence[Mapping[str, str]], quantity: str) -> tuple[np.nda
 
 
 def _regression(
-    fit: PiecewiseFit, p_value: float, interval: tuple[float, float], settings: dict[str, Any]
+    fit: PiecewiseFit, p_value: float, interval: tuple[float, float], settings: TightnessSettings
 ) -> dict[str, Any]:
     return {
         "status": "ok",
@@ -174,7 +177,9 @@ def _regression(
     }
 
 
-def _person_regression(rows: list[dict[str, str]], quantity: str, settings: dict[str, Any]) -> dict[str, Any]:
+def _person_regression(
+    rows: list[dict[str, str]], quantity: str, settings: TightnessSettings
+) -> dict[str, Any]:
     x, y = side_means(rows, quantity)
     head = {"unit": UNITS[quantity], "n_levels": len(x)}
     if len(x) < settings["min_levels"]:
@@ -210,7 +215,7 @@ def _operating_point(
     }
 
 
-def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict[str, Any], out: Path) -> None:
+def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: TightnessSettings, out: Path) -> None:
     """Write the breakpoint regressions of one person and whether the knee of the rotation meets the selected level.
 
     Slopes are deg or mm of one side per unit of normalised tightness. ``settings`` is the config slice
@@ -234,7 +239,7 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: dict[str
 
 
 def _pooled(
-    tables: dict[str, list[dict[str, str]]], quantity: str, settings: dict[str, Any]
+    tables: dict[str, list[dict[str, str]]], quantity: str, settings: TightnessSettings
 ) -> dict[str, Any]:
     """Return the regression over all persons: shared slopes and breakpoint, an intercept for each person."""
     parts = {s: side_means(rows, quantity) for s, rows in tables.items()}
@@ -246,11 +251,8 @@ def _pooled(
         return head | {"status": f"needs at least {settings['min_levels']} levels, have {len(np.unique(x))}"}
     seed, confidence = settings["seed"], 1 - settings["alpha"]
     p_value = breakpoint_p_value(x, y, groups, permutations=settings["permutations"], seed=seed)
-    resampled = {"bootstrap": settings["bootstrap"], "seed": seed, "confidence": confidence}
-    if len(parts) > 1:
-        interval = breakpoint_interval_by_group(x, y, groups, **resampled)
-    else:
-        interval = breakpoint_interval(x, y, groups, **resampled)
+    interval_of = breakpoint_interval_by_group if len(parts) > 1 else breakpoint_interval
+    interval = interval_of(x, y, groups, bootstrap=settings["bootstrap"], seed=seed, confidence=confidence)
     return head | _regression(fit_piecewise(x, y, groups), p_value, interval, settings)
 
 
@@ -271,7 +273,7 @@ def _shared(persons: list[dict[str, Any]], quantity: str) -> dict[str, Any]:
 
 
 def tightness_cohort(
-    *, sweeps: list[Path], breakpoints: list[Path], settings: dict[str, Any], out: Path
+    *, sweeps: list[Path], breakpoints: list[Path], settings: TightnessSettings, out: Path
 ) -> None:
     """Write what all persons show together: pooled regressions, shared breakpoints, selected levels against the knee.
 

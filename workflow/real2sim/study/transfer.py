@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import permutations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from real2sim.recording.trial import TrialModel, trial_model, with_step
 from real2sim.study.fit import best_of
 from real2sim.study.statistics.loso import leave_one_out_prior, overhead
 from real2sim.study.statistics.shareability import read_fits_table
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 PUBLISHED = "published"
 _FIT_KEYS = ("subject", "trial", "restart", "parameters", "cost")
@@ -31,7 +34,7 @@ def _best_per_trial(fits: list[dict[str, Any]], subject: str) -> dict[str, dict[
 
 
 def _models(
-    poses: list[Path], markers: list[Path], limits: Path, robot: Path, settings: dict[str, Any], nsim: int
+    poses: list[Path], markers: list[Path], limits: Path, robot: Path, settings: Settings, nsim: int
 ) -> dict[str, TrialModel]:
     return {
         pose.parent.name: trial_model(
@@ -50,7 +53,7 @@ def cross_trial(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Simulate each trial's best fit on the person's other trials (paper, section V-B).
@@ -120,7 +123,7 @@ def loso_subject(
     step: Path,
     robot: Path,
     published: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Deploy the prior of the others on one person, with that person's own joint limits (paper, eq. 7).

@@ -6,7 +6,7 @@ Nothing here knows a lab, an effect or a person. A description stands beside the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -216,7 +216,7 @@ class System:
         self,
         model: Path,
         impedances: Mapping[str, Mapping[str, float]] | None = None,
-        bounds: Mapping[str, Sequence[float]] | None = None,
+        bounds: Mapping[str, Any] | None = None,
     ) -> System:
         """The same system with another MJCF, other impedances by machine joint and other bounds by parameter."""
         machine = tuple(
@@ -235,11 +235,16 @@ class System:
 
     @cached_property
     def offers(self) -> frozenset[str]:
-        """What effects may ask for (`Effect.needs`): how it is driven, which joints, markers and axes there are."""
+        """What effects may ask for (`Effect.needs`): how it is driven, which joints, markers and axes there are.
+
+        A base of three joints and its arm are told by these; the joints of any other machine one by one.
+        """
         found = {self.drive.by}
         names = {joint.name for joint in self.machine}
         if set(BASE_JOINTS) <= names:
             found.add("base")
+        else:
+            found |= {"passive_joints" if j.impedance is None else "controllers" for j in self.machine}
         if set(ARM_JOINTS) <= names:
             found.add("arm")
         if self.body:

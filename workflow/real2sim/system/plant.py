@@ -13,15 +13,19 @@ first-order error, which leaves second order (measured: benchmarks/plant.py).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
+
+if TYPE_CHECKING:
+    from real2sim.settings import PlantSettings
 
 ROBOT_JOINTS = ("base_x", "base_y", "base_yaw", "arm_lift", "arm_roll", "arm_pitch")
 STRAP_JOINTS = tuple(f"strap_{axis}" for axis in AXES)
@@ -126,7 +130,7 @@ def interface_pose_at(robot: mujoco.MjModel, joints: np.ndarray) -> tuple[np.nda
     return rotation, data.body("interface").xpos + rotation @ interface_site_offset(robot)
 
 
-def impedances(robot_settings: dict[str, Any], controller: str) -> dict[str, dict[str, float]]:
+def impedances(robot_settings: Mapping[str, Any], controller: str) -> dict[str, dict[str, float]]:
     """Stiffness and damping of the robot's joints by name, from the slice ``robot`` of the configuration."""
     base, arm = robot_settings[controller], robot_settings["arm"]
     return {
@@ -171,8 +175,8 @@ def _scale_inertia(spec: mujoco.MjSpec, key: str, factor: float) -> None:
 
 def plant_spec(
     robot: Path,
-    robot_settings: dict[str, Any],
-    plant_settings: dict[str, Any],
+    robot_settings: Mapping[str, Any],
+    plant_settings: PlantSettings,
     rest: RestPose,
     limits: JointLimits | None,
     start: np.ndarray,
@@ -265,7 +269,7 @@ def hang_segment(
     return segment
 
 
-def _add_strap(pelvis: mujoco.MjsBody, limits: JointLimits | None, plant_settings: dict[str, Any]) -> None:
+def _add_strap(pelvis: mujoco.MjsBody, limits: JointLimits | None, plant_settings: PlantSettings) -> None:
     """Add the strap's six joints in reverse, hinges z y x before slides x y z, and their limits."""
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     axes = dict(zip(AXES, [*np.eye(3), *np.eye(3)], strict=True))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -25,6 +26,9 @@ from real2sim.system.plant import (
     robot_pose_for,
     servo_gains,
 )
+
+if TYPE_CHECKING:
+    from real2sim.settings import PlantSettings
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,8 @@ class Replay:
         self,
         *,
         robot: Path,
-        robot_settings: dict[str, Any],
-        plant_settings: dict[str, Any],
+        robot_settings: Mapping[str, Any],
+        plant_settings: PlantSettings,
         time_s: np.ndarray,
         pelvis_rotation: np.ndarray,
         pelvis_position: np.ndarray,

@@ -9,7 +9,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.errors import InputError
@@ -17,12 +17,13 @@ from real2sim.provenance import fingerprint, sha256
 from real2sim.recording.ingest import ingest_subject
 from real2sim.study.diagnose import diagnose
 
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
+
 TRAIN, HELD_OUT, NEUTRAL = "dynamic_1", "dynamic_2", "neutral"
 
 
-def diagnose_cases(
-    *, cases: list[Path], robot: Path, settings: dict[str, Any], work: Path, out: Path
-) -> None:
+def diagnose_cases(*, cases: list[Path], robot: Path, settings: Settings, work: Path, out: Path) -> None:
     """Answer every case of a shard.
 
     Parameters
@@ -54,14 +55,14 @@ def diagnose_cases(
     write_json(out, {"schema": 1, "answers": answers})
 
 
-def _key(folder: Path, robot: Path, settings: dict[str, Any]) -> str:
+def _key(folder: Path, robot: Path, settings: Settings) -> str:
     """What an answer rests on: recordings, robot, settings and code."""
     files = [robot, *sorted(path for path in folder.iterdir() if path.is_file())]
     parts = [fingerprint(__name__), json.dumps(settings, sort_keys=True)]
     return hashlib.sha256("\n".join([*parts, *map(sha256, files)]).encode()).hexdigest()
 
 
-def _answer(folder: Path, robot: Path, settings: dict[str, Any], target: Path) -> None:
+def _answer(folder: Path, robot: Path, settings: Settings, target: Path) -> None:
     tables = target.parent
     raw = sorted(path for path in folder.iterdir() if path.name != "subject.yaml")
     with contextlib.redirect_stdout(io.StringIO()):

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -46,6 +46,9 @@ from real2sim.system.plant import (
     interface_site_offset,
     load_robot,
 )
+
+if TYPE_CHECKING:
+    from real2sim.settings import Settings
 
 CHANNELS = {
     "/about": "foxglove.Log",
@@ -106,7 +109,7 @@ def export_motion(
     limits: Path,
     step: Path,
     robot: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
 ) -> None:
     """Write measured and simulated motion of a trial under its best fit as MCAP (channels: `CHANNELS`).

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +15,14 @@ from real2sim.recording.quality.markers import RIGID_PAIRS
 from real2sim.recording.quality.measure import Measured
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size, worst
 from real2sim.recording.subjects import parse_trial
+
+if TYPE_CHECKING:
+    from real2sim.settings import (
+        IngestSettings,
+        QualityExcitationSettings,
+        QualityLimitsSettings,
+        QualitySettings,
+    )
 
 GATES = (
     "readable",
@@ -119,8 +128,8 @@ def _grounds(trials: list[Measured]) -> dict[str, np.ndarray]:
 def judge(
     m: Measured,
     session: Session,
-    settings: dict[str, Any],
-    ingest: dict[str, Any],
+    settings: QualitySettings,
+    ingest: IngestSettings,
     *,
     scales: dict[str, float],
     q: np.ndarray | None = None,
@@ -159,7 +168,7 @@ def _gate(
     gate: str,
     value: float | None,
     unit: str,
-    settings: dict[str, Any] | None,
+    settings: Mapping[str, Any] | None,
     message: str,
     remedy: str,
     *,
@@ -178,7 +187,7 @@ def _gate(
     )
 
 
-def _completeness(m: Measured, settings: dict[str, Any], ingest: dict[str, Any]) -> Gate:
+def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings) -> Gate:
     wanted = list(geometry.PELVIS_MARKERS)
     wanted += [] if m.kind == "walk_normal" else list(geometry.INTERFACE_MARKERS)
     share = {name: m.complete.get(name, 0.0) for name in wanted}
@@ -195,7 +204,7 @@ def _completeness(m: Measured, settings: dict[str, Any], ingest: dict[str, Any])
     )
 
 
-def _gaps(m: Measured, settings: dict[str, Any]) -> Gate:
+def _gaps(m: Measured, settings: QualitySettings) -> Gate:
     if not m.gaps:
         return _gate("gaps", 0.0, "s", settings, "no gap", "")
     longest = max(m.gaps, key=lambda gap: gap.stop - gap.start)
@@ -210,7 +219,7 @@ def _gaps(m: Measured, settings: dict[str, Any]) -> Gate:
     )
 
 
-def _rigid(m: Measured, settings: dict[str, Any]) -> Gate:
+def _rigid(m: Measured, settings: QualitySettings) -> Gate:
     size = np.abs(m.departures - m.skin)
     seen = np.isfinite(size).any(axis=0)
     if not seen.any():
@@ -247,7 +256,7 @@ def _swaps(m: Measured) -> Gate:
     return _gate("swaps", float(frames), "frames", None, message, remedy, verdict=verdict)
 
 
-def _spikes(m: Measured, settings: dict[str, Any]) -> Gate:
+def _spikes(m: Measured, settings: QualitySettings) -> Gate:
     count = sum(m.spikes.values())
     share = count / max(m.frames, 1)
     named = ", ".join(f"{name} {n}" for name, n in m.spikes.items() if n)
@@ -257,7 +266,7 @@ def _spikes(m: Measured, settings: dict[str, Any]) -> Gate:
     return _gate("spikes", share, "1", settings, message, remedy, verdict=verdict)
 
 
-def _units(m: Measured, ingest: dict[str, Any]) -> Gate:
+def _units(m: Measured, ingest: IngestSettings) -> Gate:
     low, high = ingest["units"]["marker_extent_m"]
     verdict = PASS if low <= m.extent_m <= high else REFUSE
     message = f"the markers span {m.extent_m:.3g} m (allowed: {low:g} to {high:g} m)"
@@ -267,7 +276,7 @@ def _units(m: Measured, ingest: dict[str, Any]) -> Gate:
     )
 
 
-def _rate(m: Measured, settings: dict[str, Any]) -> Gate:
+def _rate(m: Measured, settings: QualitySettings) -> Gate:
     rate, limits = m.rate, settings["rate"]
     remedy = "Correct FREQUENCY in the header, or export again."
     off = abs(rate.by_time / rate.declared - 1) if rate.by_time is not None else 0.0
@@ -290,7 +299,7 @@ def _rate(m: Measured, settings: dict[str, Any]) -> Gate:
     return _gate("rate", off, "1", settings, message, remedy)
 
 
-def _spacing(m: Measured, settings: dict[str, Any]) -> Gate:
+def _spacing(m: Measured, settings: QualitySettings) -> Gate:
     if not m.spacing:
         return _gate("spacing", None, "s", settings, "no other system", "")
     system = max(m.spacing, key=lambda name: m.spacing[name][1])
@@ -311,7 +320,7 @@ def _interval(value: float, sd: float) -> list[float] | None:
     return [value - clocks.NORMAL_95 * sd, value + clocks.NORMAL_95 * sd]
 
 
-def _robot_sync(m: Measured, settings: dict[str, Any]) -> Gate:
+def _robot_sync(m: Measured, settings: QualitySettings) -> Gate:
     robot, limits = m.robot, settings["robot_sync"]
     assert robot is not None
     fit = robot.clock
@@ -340,7 +349,7 @@ def _drift_gate(
     gate: str,
     own: clocks.ClockFit | None,
     pooled: clocks.Pooled | None,
-    settings: dict[str, Any],
+    settings: Mapping[str, Any],
     system: str,
 ) -> Gate:
     limits = settings[gate]
@@ -375,12 +384,12 @@ def _drift_gate(
     return _gate(gate, 1e6 * value, "ppm", settings, message, remedy, verdict=verdict, interval=span)
 
 
-def _robot_drift(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
+def _robot_drift(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     assert m.robot is not None
     return _drift_gate("robot_drift", m.robot.clock, session.robot_drift, settings, "robot")
 
 
-def _robot_residual(m: Measured, settings: dict[str, Any]) -> Gate:
+def _robot_residual(m: Measured, settings: QualitySettings) -> Gate:
     assert m.robot is not None
     fit = m.robot.clock
     if fit is None:
@@ -390,7 +399,7 @@ def _robot_residual(m: Measured, settings: dict[str, Any]) -> Gate:
     return _gate("robot_residual", fit.residual_m, "m", settings, message, remedy)
 
 
-def _markerless_sync(m: Measured, settings: dict[str, Any]) -> Gate:
+def _markerless_sync(m: Measured, settings: QualitySettings) -> Gate:
     assert m.markerless is not None
     fit = m.markerless.clock
     if fit is None:
@@ -416,14 +425,14 @@ def _markerless_sync(m: Measured, settings: dict[str, Any]) -> Gate:
     )
 
 
-def _markerless_drift(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
+def _markerless_drift(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     assert m.markerless is not None
     return _drift_gate(
         "markerless_drift", m.markerless.clock, session.markerless_drift, settings, "markerless"
     )
 
 
-def _markerless_residual(m: Measured, settings: dict[str, Any]) -> Gate:
+def _markerless_residual(m: Measured, settings: QualitySettings) -> Gate:
     assert m.markerless is not None
     space = m.markerless.space
     message = (
@@ -434,7 +443,7 @@ def _markerless_residual(m: Measured, settings: dict[str, Any]) -> Gate:
     return _gate("markerless_residual", space.rms_m, "m", settings, message, remedy)
 
 
-def _frame_robot(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
+def _frame_robot(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     limits = settings["frame_robot"]
     if m.robot is None:
         return _gate("frame_robot", None, "deg", settings, "no robot log", "")
@@ -458,7 +467,7 @@ def _frame_robot(m: Measured, session: Session, settings: dict[str, Any]) -> Gat
     return _gate("frame_robot", value, "deg", settings, "; ".join(text for _, text in parts), remedy)
 
 
-def _frame_markerless(m: Measured, session: Session, settings: dict[str, Any]) -> Gate:
+def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     if m.name not in session.turned:
         message = "needs the markerless pelvis of at least three trials of the person"
         return _gate("frame_markerless", None, "deg", settings, message, "")
@@ -501,7 +510,7 @@ def bandwidth_hz(values: np.ndarray, rate_hz: float, share: float = 0.95) -> flo
     return float(np.fft.rfftfreq(len(x), 1 / rate_hz)[np.searchsorted(total, share * total[-1])])
 
 
-def _excitation(q: np.ndarray, limits: dict[str, Any], rate_hz: float) -> Gate:
+def _excitation(q: np.ndarray, limits: QualityExcitationSettings, rate_hz: float) -> Gate:
     """Smallest ratio over the axes of what is there to what is asked for, in range and in reversals."""
     ratios, parts = [], []
     for axis, values in zip(geometry.AXES, q.T, strict=True):
@@ -532,7 +541,7 @@ def _excitation(q: np.ndarray, limits: dict[str, Any], rate_hz: float) -> Gate:
     )
 
 
-def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: dict[str, Any]) -> Gate:
+def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: QualityLimitsSettings) -> Gate:
     low, high = limits
     margin = settings["margin"] * (high - low)
     near = (q <= low + margin) | (q >= high - margin)
@@ -550,7 +559,7 @@ def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: dict
     return Gate("limits", verdict, value, "1", threshold, message, remedy, None, "quality.limits")
 
 
-def noise_cost(sd_m: float, ingest: dict[str, Any], scales: dict[str, float]) -> float:
+def noise_cost(sd_m: float, ingest: IngestSettings, scales: dict[str, float]) -> float:
     """J that white marker noise of SD ``sd_m`` per axis leaves after the low-pass, by eq. 3 of the paper."""
     rate = ingest["rate_hz"]
     impulse = np.zeros(1001)
@@ -561,7 +570,7 @@ def noise_cost(sd_m: float, ingest: dict[str, Any], scales: dict[str, float]) ->
     return float(position / scales["position_m"] ** 2 + velocity / scales["velocity_m_per_s"] ** 2)
 
 
-def _noise(m: Measured, settings: dict[str, Any], ingest: dict[str, Any], scales: dict[str, float]) -> Gate:
+def _noise(m: Measured, settings: QualitySettings, ingest: IngestSettings, scales: dict[str, float]) -> Gate:
     sd = [m.noise_m[name] for name in geometry.INTERFACE_MARKERS if np.isfinite(m.noise_m.get(name, np.nan))]
     if not sd:
         return _gate("noise", None, "1", settings, "no interface marker", "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,6 +15,9 @@ from real2sim.recording.formats.opensim import PELVIS_COORDINATES
 from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
 from real2sim.recording.quality import clocks, markers
 from real2sim.recording.subjects import parse_trial
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSettings, QualityRateSettings, QualitySettings
 
 _COARSE_HZ = 50.0  # grid on which rates are compared
 _PAIR_HZ = 10.0  # samples of both systems' pelvis that are kept for the frames
@@ -93,7 +96,7 @@ class Measured:
 
 
 def measure(
-    trial: RawTrial, reference: np.ndarray, settings: dict[str, Any], ingest: dict[str, Any]
+    trial: RawTrial, reference: np.ndarray, settings: QualitySettings, ingest: IngestSettings
 ) -> Measured:
     """All figures of a trial; ``reference`` (7,) are the rigid distances of quiet standing [m]."""
     recording = trial.recording
@@ -155,7 +158,7 @@ def _spacing(time_s: np.ndarray) -> tuple[float, float]:
 
 
 def _pelvis_path(
-    time_s: np.ndarray, clean: dict[str, np.ndarray], rate: float, ingest: dict[str, Any]
+    time_s: np.ndarray, clean: dict[str, np.ndarray], rate: float, ingest: IngestSettings
 ) -> alignment.PelvisPath | None:
     if not set(geometry.PELVIS_MARKERS) <= set(clean):
         return None
@@ -190,7 +193,7 @@ def _log_angles(log: RobotLog, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.column_stack([yaw, np.interp(grid, log.joint_time_s, log.joints["arm_roll"][:, 0])])
 
 
-def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: dict[str, Any]) -> Robot:
+def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: IngestSettings) -> Robot:
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     angles = _line_angles(clean)
     grid, theirs = _log_angles(log, rate)
@@ -237,7 +240,7 @@ def _robot_clock(
 
 
 def _markerless(
-    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: dict[str, Any]
+    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: IngestSettings
 ) -> Markerless | None:
     if pelvis is None or len(coordinates.time_s) < 10:
         return None
@@ -300,7 +303,7 @@ def _rate_by_motion(
     pelvis: alignment.PelvisPath | None,
     clean: dict[str, np.ndarray],
     time_s: np.ndarray,
-    limits: dict[str, Any],
+    limits: QualityRateSettings,
 ) -> None:
     """The rate at which the markers' motion agrees best with that of the other systems."""
     declared = out.rate.declared

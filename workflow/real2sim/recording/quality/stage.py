@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from real2sim.recording.quality.gates import GATES, Session, judge, session_of
 from real2sim.recording.quality.measure import Measured, RawTrial, measure
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, worst
 from real2sim.recording.subjects import Subject, TrialFiles, parse_trial, read_subject
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSettings, QualitySettings
 
 COLUMNS = (
     "subject",
@@ -42,8 +45,16 @@ COLUMNS = (
 )
 
 
+class GateSettings(TypedDict):
+    """What the gates of a person are judged with: slices of the configuration, and the scales of the cost."""
+
+    quality: QualitySettings
+    ingest: IngestSettings
+    scales: dict[str, float]
+
+
 def raw_trial(
-    name: str, files: TrialFiles, marker_names: Mapping[str, str], settings: dict[str, Any]
+    name: str, files: TrialFiles, marker_names: Mapping[str, str], settings: IngestSettings
 ) -> RawTrial:
     """Raw recordings of a trial with our marker names in the world; ``settings`` is the slice ``ingest``."""
     recording = read_markers(files.markers)
@@ -73,7 +84,7 @@ def _readable() -> Gate:
     return Gate("readable", PASS, None, "", None, "all files of the trial can be read and used", "")
 
 
-def _tables(person: Subject, settings: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
+def _tables(person: Subject, settings: IngestSettings) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
     """Interface coordinates (n, 6) per trial as the fits will see them, and what ingest refuses."""
     q: dict[str, np.ndarray] = {}
     refused: dict[str, InputError] = {}
@@ -115,7 +126,7 @@ def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray
 
 
 def quality_subject(
-    *, subject: str, folder: Path, settings: dict[str, Any], raw: list[Path], out: Path
+    *, subject: str, folder: Path, settings: GateSettings, raw: list[Path], out: Path
 ) -> None:
     """Write the verdicts of the gates on all trials of one person, from the raw files; nothing is fitted.
 
@@ -211,7 +222,7 @@ def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
 
 
 def _measure_all(
-    person: Subject, limits: dict[str, Any], ingest: dict[str, Any]
+    person: Subject, limits: QualitySettings, ingest: IngestSettings
 ) -> tuple[dict[str, Measured], dict[str, InputError]]:
     trials: dict[str, RawTrial] = {}
     unreadable: dict[str, InputError] = {}
@@ -242,7 +253,7 @@ def _session(session: Session) -> dict[str, Any]:
     }
 
 
-def quality_table(*, gates: list[Path], settings: dict[str, Any], out: Path) -> None:
+def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) -> None:
     """One row per person, trial and gate; ``settings`` is the slice ``quality``.
 
     Raises InputError where the configuration overrides a person that is not there.

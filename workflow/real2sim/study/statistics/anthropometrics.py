@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from real2sim.recording.quality.verdict import overridden_trials
 from real2sim.recording.subjects import SUBJECT_FILE, subject_values
 from real2sim.study.statistics.nested import best_restarts, fit_columns, log_parameters
 from real2sim.study.statistics.shareability import read_fits_table
+
+if TYPE_CHECKING:
+    from real2sim.settings import StatisticsSettings
 
 ANTHROPOMETRICS_COLUMNS = (
     "parameter",
@@ -120,7 +123,7 @@ def _bodies(subjects: list[Path], people: list[str], predictors: list[str]) -> n
 
 
 def _rows(
-    log_y: np.ndarray, log_x: np.ndarray, predictors: list[str], settings: dict[str, Any]
+    log_y: np.ndarray, log_x: np.ndarray, predictors: list[str], settings: StatisticsSettings
 ) -> list[dict[str, Any]]:
     inflation, averages = variance_inflation(log_x), np.exp(log_x.mean(axis=0))
     rows: list[dict[str, Any]] = []
@@ -151,7 +154,7 @@ def _rows(
     return rows
 
 
-def anthropometrics(*, fits: Path, subjects: list[Path], settings: dict[str, Any], out: Path) -> None:
+def anthropometrics(*, fits: Path, subjects: list[Path], settings: StatisticsSettings, out: Path) -> None:
     """Regress ln of each person's parameters on ln of mass [kg], height and waist [m]: exponents with intervals.
 
     ``fits`` is the table of `shareability`, ``subjects`` are the people's subject.yaml. ``settings`` holds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from real2sim.artefacts import needs_people, read_json, write_table
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.recording.quality.verdict import overridden_trials
 from real2sim.study.statistics.shareability import parameter_matrix, point_prior
+
+if TYPE_CHECKING:
+    from real2sim.settings import StatisticsSettings
 
 LOSO_COLUMNS = (
     "subject",
@@ -58,7 +61,7 @@ def _row(record: dict[str, Any]) -> dict[str, Any]:
     return row | {"status": "ok", "n_trials": len(trials)} | means | percent
 
 
-def loso_table(*, loso: list[Path], settings: dict[str, Any], out: Path) -> None:
+def loso_table(*, loso: list[Path], settings: StatisticsSettings, out: Path) -> None:
     """Collect the leave-one-subject-out files: one row per person and, with enough people, their mean.
 
     ``settings`` is the config slice ``statistics``. Costs J have no unit; RMSE in metres.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -18,6 +18,9 @@ from real2sim.artefacts import needs_people, number, read_table, write_table
 from real2sim.inference.parameters import PARAMETERS, parameter_column, unit
 from real2sim.study.statistics import icc as icc_module
 from real2sim.study.statistics.shareability import classify
+
+if TYPE_CHECKING:
+    from real2sim.settings import StatisticsSettings
 
 # Below this share of all variance, restarts (or trials) count as equal: rounding, or one search found twice.
 EQUAL = 1e-8
@@ -313,7 +316,7 @@ def _missing(rows: list[dict[str, str]], minimum: int) -> str:
     return ""
 
 
-def _rows(fits: list[dict[str, str]], settings: dict[str, Any]) -> list[dict[str, Any]]:
+def _rows(fits: list[dict[str, str]], settings: StatisticsSettings) -> list[dict[str, Any]]:
     person = np.array([row["subject"] for row in fits])
     trial = np.array([row["trial"] for row in fits])
     logs = log_parameters(fits)
@@ -348,7 +351,7 @@ def _rows(fits: list[dict[str, str]], settings: dict[str, Any]) -> list[dict[str
     return rows
 
 
-def nested_variance(*, fits: Path, icc: Path, settings: dict[str, Any], out: Path) -> None:
+def nested_variance(*, fits: Path, icc: Path, settings: StatisticsSettings, out: Path) -> None:
     """Variance components of restarts in trials in people, and the class by an interval that counts trials.
 
     ``fits`` and ``icc`` are the tables of `shareability`; ``settings`` is the config slice ``statistics``. The interval

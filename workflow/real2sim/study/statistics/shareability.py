@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -21,6 +21,9 @@ from real2sim.errors import InputError
 from real2sim.inference.parameters import PARAMETERS, parameter_column, unit
 from real2sim.recording.quality.verdict import overridden_trials
 from real2sim.study.statistics import icc as icc_module
+
+if TYPE_CHECKING:
+    from real2sim.settings import StatisticsSettings
 
 USE = {
     "common": "fixed at the prior",
@@ -181,7 +184,7 @@ def _fit_row(fit: dict[str, Any]) -> dict[str, Any]:
     return row | {parameter_column(n): float(fit["parameters"][n]) for n in PARAMETERS}
 
 
-def _icc_rows(fits: list[dict[str, Any]], settings: dict[str, Any]) -> list[dict[str, Any]]:
+def _icc_rows(fits: list[dict[str, Any]], settings: StatisticsSettings) -> list[dict[str, Any]]:
     subjects = np.array([fit["subject"] for fit in fits])
     logs = np.log(parameter_matrix(fits))
     anova = icc_module.one_way_anova(logs, subjects)
@@ -235,7 +238,7 @@ def _missing(fits: list[dict[str, Any]], minimum: int) -> str:
     return ""
 
 
-def shareability(*, fits: list[Path], settings: dict[str, Any], out_fits: Path, out_icc: Path) -> None:
+def shareability(*, fits: list[Path], settings: StatisticsSettings, out_fits: Path, out_icc: Path) -> None:
     """Collect all fits in one table and compute ICC, intervals and class of each parameter.
 
     ``settings`` is the config slice ``statistics``. Parameters in the wide table carry their SI unit in the
@@ -272,7 +275,7 @@ def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
     }
 
 
-def priors(*, fits: Path, icc: Path, published: Path, settings: dict[str, Any], out: Path) -> None:
+def priors(*, fits: Path, icc: Path, published: Path, settings: StatisticsSettings, out: Path) -> None:
     """Prior and search ranges of each parameter: spread of the fits, and where the next person is expected.
 
     ``prior`` is the geometric mean, ``interval_*`` the empirical 95 % spread (paper eq. 6), ``prediction_*`` that of

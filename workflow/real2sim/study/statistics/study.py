@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import fdtr, fdtri
@@ -18,6 +18,9 @@ from statsmodels.stats.proportion import proportion_confint
 
 from real2sim.artefacts import write_table
 from real2sim.study.statistics import icc as icc_module
+
+if TYPE_CHECKING:
+    from real2sim.settings import StatisticsSettings
 
 TRIALS, RESTARTS = 2, 5
 # Share of the variance within people that lies between restarts of one trial, where restarts share data
@@ -115,7 +118,9 @@ def _intervals(
     }
 
 
-def study_intervals(icc: float, people: int, design: str, settings: dict[str, Any]) -> dict[str, Intervals]:
+def study_intervals(
+    icc: float, people: int, design: str, settings: StatisticsSettings
+) -> dict[str, Intervals]:
     """Intervals of all methods on simulated cohorts; ``settings`` as in `coverage_study`."""
     options = settings["study"]
     # every cell has a stream of its own: a longer list of people leaves the other cells as they are
@@ -134,7 +139,7 @@ def study_intervals(icc: float, people: int, design: str, settings: dict[str, An
     }
 
 
-def class_shares(found: Intervals, settings: dict[str, Any]) -> dict[str, float]:
+def class_shares(found: Intervals, settings: StatisticsSettings) -> dict[str, float]:
     """Share of intervals (paper eq. 6) that say common, and distinct."""
     return {
         "common": float(np.mean(found.high < settings["common_below"])),
@@ -142,7 +147,9 @@ def class_shares(found: Intervals, settings: dict[str, Any]) -> dict[str, float]
     }
 
 
-def exact_class_shares(icc: float, people: int, repeats: int, settings: dict[str, Any]) -> dict[str, float]:
+def exact_class_shares(
+    icc: float, people: int, repeats: int, settings: StatisticsSettings
+) -> dict[str, float]:
     """Probability that the exact F interval says common, and distinct, on ``repeats`` independent repeats a person.
 
     In closed form: F / (1 + repeats * icc / (1 - icc)) has an F distribution.
@@ -162,12 +169,12 @@ def exact_class_shares(icc: float, people: int, repeats: int, settings: dict[str
     }
 
 
-def icc_grid(settings: dict[str, Any]) -> list[float]:
+def icc_grid(settings: StatisticsSettings) -> list[float]:
     """True ICC of the simulated cohorts: ICC_GRID and the edges of the classes."""
     return sorted({*ICC_GRID, settings["common_below"], settings["distinct_from"]} - {1.0})
 
 
-def _coverage_rows(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _coverage_rows(settings: StatisticsSettings) -> Iterator[dict[str, Any]]:
     options = settings["study"]
     for design in DESIGNS:
         for people in options["people"]:
@@ -206,7 +213,7 @@ def smallest_people(right: dict[int, float], power: float = POWER) -> int | None
     return enough
 
 
-def _power_rows(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _power_rows(settings: StatisticsSettings) -> Iterator[dict[str, Any]]:
     options = settings["study"]
     for design in DESIGNS:
         for truth, icc in TRUTHS.items():
@@ -240,7 +247,7 @@ def _power_rows(settings: dict[str, Any]) -> Iterator[dict[str, Any]]:
                     }
 
 
-def coverage_study(*, settings: dict[str, Any], out_coverage: Path, out_power: Path) -> None:
+def coverage_study(*, settings: StatisticsSettings, out_coverage: Path, out_power: Path) -> None:
     """Simulate cohorts of known ICC; tabulate what each interval covers and how often each class is right.
 
     ``settings`` holds ``study`` (``draws``, ``bootstrap``, ``people``, ``power_people``, ``seed``), ``confidence``,

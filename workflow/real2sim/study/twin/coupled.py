@@ -9,10 +9,10 @@ root coordinates are those of robot and strap.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -35,6 +35,15 @@ from real2sim.system.plant import (
     robot_pose_for,
 )
 
+if TYPE_CHECKING:
+    from real2sim.settings import (
+        PlantSettings,
+        TwinFollowSettings,
+        TwinHumanContactSettings,
+        TwinHumanSettings,
+        TwinSettings,
+    )
+
 # Robot axes whose compliance is assumed and shapes the interface cloud, and the joint that has it
 COMPLIANCES = {"lateral": "base_y", "vertical": "arm_lift", "roll": "arm_roll"}
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6
@@ -42,7 +51,7 @@ _SENSORS = 19  # columns of `add_gait_sensors`
 _CADENCE_FILTER_S = 1.0  # over which the person senses the robot's speed
 
 
-def robot_settings(follow: dict[str, Any]) -> dict[str, Any]:
+def robot_settings(follow: Mapping[str, Any]) -> dict[str, Any]:
     """Return the impedances of the follow mode in the form of the slice ``robot`` of the configuration."""
     free = {"stiffness": 0.0, "damping": 0.0}
 
@@ -67,10 +76,10 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
 
 def coupled_spec(
     who: Body,
-    human: dict[str, Any],
+    human: TwinHumanSettings,
     robot: Path,
-    follow: dict[str, Any],
-    plant: dict[str, Any],
+    follow: TwinFollowSettings,
+    plant: PlantSettings,
     rest: RestPose,
     limits: JointLimits | None,
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
@@ -85,7 +94,7 @@ def coupled_spec(
         Where the robot cannot reach the interface of the standing person.
     """
     start = _reach(robot, *standing_interface(who, rest))
-    settings = plant | {"timestep_s": human["timestep_s"]}
+    settings: PlantSettings = {**plant, "timestep_s": human["timestep_s"]}
     spec = plant_spec(
         robot,
         robot_settings(follow),
@@ -120,7 +129,7 @@ def _reach(robot: Path, rotation: np.ndarray, position: np.ndarray) -> np.ndarra
         ) from error
 
 
-def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: dict[str, Any]) -> None:
+def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: TwinHumanContactSettings) -> None:
     """Hang the person, with their servos, on the plant's pelvis, upright in the frame of the pelvis markers."""
     pelvis = spec.body("pelvis")
     pelvis.mass, pelvis.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
@@ -133,7 +142,7 @@ def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: dict[st
     add_actuators(spec, who)
 
 
-def _add_follow(spec: mujoco.MjSpec, follow: dict[str, Any]) -> None:
+def _add_follow(spec: mujoco.MjSpec, follow: TwinFollowSettings) -> None:
     """Add the velocity servo of the base, limited in force."""
     spec.add_actuator(
         name="follow",
@@ -219,7 +228,7 @@ class _Walkers:
     ``_base`` that of the robot's base or None.
     """
 
-    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: dict[str, Any], n: int, threads: int):
+    def __init__(self, policy: Policy, model: mujoco.MjModel, twin: TwinSettings, n: int, threads: int):
         self.policy, self.model, self.n = policy, model, n
         self.substeps = int(twin["training"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
@@ -357,7 +366,7 @@ class _Walkers:
 class FreeWalk(_Walkers):
     """The same people without a robot, recorded in the same way."""
 
-    def __init__(self, policy: Policy, *, twin: dict[str, Any], walkers: int, threads: int = 1):
+    def __init__(self, policy: Policy, *, twin: TwinSettings, walkers: int, threads: int = 1):
         spec = human_spec(policy.body, twin["human"])
         add_gait_sensors(spec)
         super().__init__(policy, spec.compile(), twin, walkers, threads)
@@ -388,8 +397,8 @@ class CoupledWalk(_Walkers):
         self,
         policy: Policy,
         *,
-        twin: dict[str, Any],
-        plant: dict[str, Any],
+        twin: TwinSettings,
+        plant: PlantSettings,
         robot: Path,
         rest: RestPose,
         limits: JointLimits | None,

@@ -8,8 +8,9 @@ symmetrically.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +27,14 @@ from real2sim.study.twin.human import (
     servo_lead_s,
 )
 from real2sim.system.batches import untimed_batch
+
+if TYPE_CHECKING:
+    from real2sim.settings import (
+        TwinHumanSettings,
+        TwinTrainingHoldSettings,
+        TwinTrainingHoldStopsSettings,
+        TwinTrainingSettings,
+    )
 
 ACTIONS = len(COMMANDED)
 OBSERVATIONS = 16 + 2 * ACTIONS
@@ -181,7 +190,9 @@ class Stops:
         Control step [s].
     """
 
-    def __init__(self, rows: np.ndarray, speed: np.ndarray, settings: dict[str, Any], control_s: float):
+    def __init__(
+        self, rows: np.ndarray, speed: np.ndarray, settings: TwinTrainingHoldStopsSettings, control_s: float
+    ):
         self.rows, self._speed, self._control_s = rows, speed, control_s
         self._play = np.array([settings["along_m"], settings["lateral_m"], np.radians(settings["yaw_deg"])])
         axes = [settings["robot"][name] for name in ("lateral", "yaw")]
@@ -233,9 +244,9 @@ class WalkEnv:
     def __init__(
         self,
         who: Body,
-        human: dict[str, Any],
+        human: TwinHumanSettings,
         reference: Reference,
-        settings: dict[str, Any],
+        settings: TwinTrainingSettings,
         *,
         nsim: int,
         threads: int,
@@ -267,7 +278,7 @@ class WalkEnv:
         self._height = float(reference.qpos[:, 2].mean())
         self.mirrored = np.zeros(nsim, bool)
 
-    def hold(self, settings: dict[str, Any]) -> None:
+    def hold(self, settings: TwinTrainingHoldSettings) -> None:
         """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
 
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
@@ -279,9 +290,10 @@ class WalkEnv:
         held = drawn < settings["share"]
         whole = held & (rng.uniform(size=n) >= settings["towed"])
         damping, armature = self.batch.expand("dof_damping"), self.batch.expand("dof_armature")
+        most: Mapping[str, Any] = settings["damping"]
         for dof, name in ((0, "along"), (1, "lateral"), (3, "roll"), (5, "yaw")):
             some = held if name == "along" else whole
-            damping[:, dof] = np.where(some, rng.uniform(0, settings["damping"][name], n), 0.0)
+            damping[:, dof] = np.where(some, rng.uniform(0, most[name], n), 0.0)
         armature[:, 5] = np.where(whole, rng.uniform(0, settings["yaw_inertia"], n), 0.0)
         # a damper about a moving frame is a damper about the world and a constant force
         speed = self.reference.speed * self._between(settings["speed"], n)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from real2sim.study.twin.env import WalkEnv
 from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference
 from real2sim.study.twin.human import GAINS, JOINTS, Body, base_name
 from real2sim.study.twin.policy import Policy
+
+if TYPE_CHECKING:
+    from real2sim.settings import TwinAcceptanceSettings, TwinEvaluationSettings, TwinSettings
 
 PUSH_DIRECTIONS, PUSH_PHASES = 8, 16
 Act = Callable[[np.ndarray], np.ndarray]
@@ -139,12 +142,13 @@ def _accuracy(mean: np.ndarray, counts: np.ndarray, reference: Reference) -> dic
     return out
 
 
-def accepted(walk: dict[str, Any], bars: dict[str, Any]) -> dict[str, bool]:
+def accepted(walk: dict[str, Any], bars: TwinAcceptanceSettings) -> dict[str, bool]:
     """Return which bars a free walk meets; ``bars`` is the slice ``twin.acceptance`` of the configuration."""
     joints = walk["joints"]
+    of_joint: Mapping[str, Any] = bars
 
     def within(key: str, bar: str) -> bool:
-        return all(abs(joints[j][key]) <= bars[bar][j] for j in SAGITTAL)
+        return all(abs(joints[j][key]) <= of_joint[bar][j] for j in SAGITTAL)
 
     peak = walk["floor_force_peak_bw"]["mean_of_strides"]
     return {
@@ -152,7 +156,7 @@ def accepted(walk: dict[str, Any], bars: dict[str, Any]) -> dict[str, bool]:
         "speed": walk["speed_error"] is not None and abs(walk["speed_error"]) <= bars["speed_error"],
         "rom": within("rom_error_deg", "rom_error_deg"),
         "peak": within("peak_error_deg", "peak_error_deg"),
-        "r": all(joints[j]["r"] >= bars["r"][j] for j in SAGITTAL),
+        "r": all(joints[j]["r"] >= of_joint["r"][j] for j in SAGITTAL),
         "rmse": within("rmse_deg", "rmse_deg"),
         "floor_force": peak is not None and peak <= bars["floor_force_bw"],
         "saturation": walk["saturated_share"] <= bars["saturated_share"],
@@ -197,7 +201,7 @@ def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settl
     }
 
 
-def withstands(pushed: dict[str, Any], bars: dict[str, Any]) -> bool:
+def withstands(pushed: dict[str, Any], bars: TwinAcceptanceSettings) -> bool:
     """Return whether a pushed walk meets its bar; never where its minutes were not reached."""
     rate = pushed["falls_per_minute"]
     return rate is not None and rate <= bars["falls_per_minute"]
@@ -239,7 +243,7 @@ def push_battery(
     }
 
 
-def battery_of(env: WalkEnv, act: Act, settings: dict[str, Any]) -> dict[str, Any]:
+def battery_of(env: WalkEnv, act: Act, settings: TwinEvaluationSettings) -> dict[str, Any]:
     """Run `push_battery` as the slice ``twin.evaluation`` asks for it."""
     return push_battery(
         env,
@@ -251,7 +255,7 @@ def battery_of(env: WalkEnv, act: Act, settings: dict[str, Any]) -> dict[str, An
     )
 
 
-def environment(policy: Policy, settings: dict[str, Any], *, nsim: int, threads: int, seed: int) -> WalkEnv:
+def environment(policy: Policy, settings: TwinSettings, *, nsim: int, threads: int, seed: int) -> WalkEnv:
     """Return the environment of a policy's own person and gait; ``settings`` is the slice ``twin``."""
     return WalkEnv(
         policy.body,

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -25,6 +25,9 @@ from scipy.signal import find_peaks
 
 from real2sim.errors import InputError
 from real2sim.study.twin.human import FEET, JOINTS, Body, human_spec, pelvis_rotation
+
+if TYPE_CHECKING:
+    from real2sim.settings import TwinHumanSettings, TwinReferenceSettings
 
 PHASES = 48  # samples of a reference cycle
 LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle")
@@ -310,7 +313,9 @@ def _spectral(values: np.ndarray, period: float) -> np.ndarray:
 class _Motion:
     """Full motion of the model from leg and pelvis curves: positions, velocities, accelerations, floor wrench."""
 
-    def __init__(self, body: Body, human: dict[str, Any], upper: Mapping[str, np.ndarray], stride_s: float):
+    def __init__(
+        self, body: Body, human: TwinHumanSettings, upper: Mapping[str, np.ndarray], stride_s: float
+    ):
         spec = human_spec(body, human)
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.model = spec.compile()
@@ -405,7 +410,7 @@ def _conjugate_product(q: np.ndarray, r: np.ndarray) -> np.ndarray:
     return np.asarray(q[:, :1] * other - r[:, :1] * vector - np.cross(vector, other))
 
 
-def _upper_body(settings: dict[str, Any]) -> dict[str, np.ndarray]:
+def _upper_body(settings: TwinReferenceSettings) -> dict[str, np.ndarray]:
     """Arm curves (PHASES,) [rad]: an assumed swing in antiphase to the legs, small in mass and in effect."""
     phase = np.arange(PHASES) / PHASES
     out = {}
@@ -432,7 +437,7 @@ class _Problem:
     motion: _Motion
     coefficients: _Coefficients
     start: np.ndarray
-    settings: dict[str, Any]
+    settings: TwinReferenceSettings
 
     def __post_init__(self) -> None:
         s, phase = self.settings, self.coefficients.phase
@@ -568,8 +573,8 @@ def make_reference(
     stride_s: float,
     speed: float,
     body: Body,
-    human: dict[str, Any],
-    settings: dict[str, Any],
+    human: TwinHumanSettings,
+    settings: TwinReferenceSettings,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Reference:
     """Nearest gait of the model to measured curves (PHASES,) that can be walked; see the module.

@@ -14,13 +14,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from real2sim.configuration import read_yaml
 from real2sim.files import write_text
+
+if TYPE_CHECKING:
+    from real2sim.settings import TwinHumanContactSettings, TwinHumanSettings, TwinSettings
 
 # Order of the 21 joints after the root, which is the order of `qpos[7:]` and `qvel[6:]` of the free person
 JOINTS = (
@@ -251,7 +254,9 @@ def _capsule(
     )
 
 
-def _leg(pelvis: mujoco.MjsBody, who: Body, side: str, contact: dict[str, Any], degrees: bool) -> None:
+def _leg(
+    pelvis: mujoco.MjsBody, who: Body, side: str, contact: TwinHumanContactSettings, degrees: bool
+) -> None:
     sign = -1 if side == "r" else 1
     h = who.height_m
     thigh = pelvis.add_body(name=f"thigh_{side}", pos=[0, sign * _HIP_HALF_WIDTH * h, 0])
@@ -306,7 +311,7 @@ def _arm(torso: mujoco.MjsBody, who: Body, side: str, shoulder: float, degrees: 
     _capsule(lower, (0, 0, 0), (0, 0, -length - 0.5 * who.length("hand")), 0.018 * who.height_m, _SKIN)
 
 
-def add_human(pelvis: mujoco.MjsBody, who: Body, contact: dict[str, Any], *, degrees: bool) -> None:
+def add_human(pelvis: mujoco.MjsBody, who: Body, contact: TwinHumanContactSettings, *, degrees: bool) -> None:
     """Build the person into a body that is the pelvis, its origin in the middle of the hips.
 
     ``contact`` has friction, solref and solimp of the soles; ``degrees`` is the unit of ranges in the description that
@@ -379,7 +384,7 @@ def add_floor(spec: mujoco.MjSpec) -> None:
     )
 
 
-def human_spec(who: Body, settings: dict[str, Any]) -> mujoco.MjSpec:
+def human_spec(who: Body, settings: TwinHumanSettings) -> mujoco.MjSpec:
     """Describe the free person on the floor; ``settings`` is the slice ``twin.human`` of the configuration."""
     spec = mujoco.MjSpec()
     spec.modelname = "human"
@@ -432,7 +437,7 @@ def body_of(person: Path) -> tuple[Body, bool]:
     return who, bool(facts.get("phantom", False))
 
 
-def twin_human(*, person: Path, settings: dict[str, Any], out: Path) -> None:
+def twin_human(*, person: Path, settings: TwinSettings, out: Path) -> None:
     """Write a person's model as MJCF; ``settings`` is the slice ``twin``, ``person`` a subject.yaml."""
     who, phantom = body_of(person)
     spec = human_spec(who, settings["human"])

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from real2sim.settings import TwinTrainingPpoSettings
 
 Layers = list[tuple[np.ndarray, np.ndarray]]
 LOG_2PI = float(np.log(2 * np.pi))
@@ -177,7 +180,7 @@ class Learner:
     actor: Layers
     critic: Layers
     log_std: np.ndarray
-    settings: dict[str, Any]
+    settings: TwinTrainingPpoSettings
     rng: np.random.Generator
     actor_adam: Adam = field(init=False)
     critic_adam: Adam = field(init=False)
@@ -189,7 +192,7 @@ class Learner:
 
     @classmethod
     def new(
-        cls, observations: int, actions: int, settings: dict[str, Any], rng: np.random.Generator
+        cls, observations: int, actions: int, settings: TwinTrainingPpoSettings, rng: np.random.Generator
     ) -> Learner:
         """Fresh networks; the actor starts at no correction."""
         hidden = list(settings["hidden"])
@@ -241,7 +244,8 @@ class Learner:
                 rate /= 1.5
             elif kl < 0.5 * s["kl"]:
                 rate *= 1.5
-            self.actor_adam.rate = float(np.clip(rate, *s["actor_rate_range"]))
+            lowest, highest = s["actor_rate_range"]
+            self.actor_adam.rate = float(np.clip(rate, lowest, highest))
         return kl
 
     def _kl(self, obs: np.ndarray, old_mean: np.ndarray, old_log_std: np.ndarray) -> float:

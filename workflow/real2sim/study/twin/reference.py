@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from real2sim.provenance import fingerprint, provenance
 from real2sim.study.twin.gait import Walk, make_reference, measured_cycle, read_walk
 from real2sim.study.twin.human import Body, body_of
 from real2sim.study.twin.policy import save_reference
+
+if TYPE_CHECKING:
+    from real2sim.settings import TwinSettings
 
 PACKAGES = ["mujoco", "numpy", "scipy"]
 
@@ -23,7 +26,7 @@ def read_walks(folders: list[Path], who: Body) -> list[Walk]:
 
 
 def twin_reference(
-    *, person: Path, walks: list[Path], settings: dict[str, Any], out: Path, report: Path
+    *, person: Path, walks: list[Path], settings: TwinSettings, out: Path, report: Path
 ) -> None:
     """Reference gait of a person from the folders of their walk_normal trials; what had to be changed, in degrees.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -41,11 +41,14 @@ from real2sim.study.twin.policy import Policy, load_policy
 from real2sim.study.twin.reference import PACKAGES, read_walks
 from real2sim.system.plant import RestPose
 
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSettings, Settings, TwinCoupledSettings, TwinSettings
+
 # Normalised strides (k, 101) [degrees] by sagittal joint
 Cycles = dict[str, np.ndarray]
 
 
-def examined(learnt: Policy, settings: dict[str, Any], threads: int) -> dict[str, Any]:
+def examined(learnt: Policy, settings: TwinSettings, threads: int) -> dict[str, Any]:
     """Examine a policy as a free walker; return what it does and the bars met. ``settings`` is the slice ``twin``."""
     e, bars = settings["evaluation"], settings["acceptance"]
     env = environment(learnt, settings, nsim=e["walkers"], threads=threads, seed=0)
@@ -62,9 +65,7 @@ def examined(learnt: Policy, settings: dict[str, Any], threads: int) -> dict[str
     return {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
 
 
-def twin_evaluate(
-    *, policy: Path, record: Path, settings: dict[str, Any], out: Path, threads: int = 1
-) -> None:
+def twin_evaluate(*, policy: Path, record: Path, settings: TwinSettings, out: Path, threads: int = 1) -> None:
     """Examine a policy against every bar of a free walker; ``settings`` is the slice ``twin``."""
     found = examined(load_policy(policy), settings, threads)
     about = read_json(record, ("phantom", "seed"))
@@ -108,7 +109,7 @@ def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
     }
 
 
-def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: dict[str, Any]) -> list[Condition]:
+def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: TwinCoupledSettings) -> list[Condition]:
     """Return every coupling to simulate: four interfaces at each cap, the robot's compliances under the prior."""
     straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
     straps = {"soft": straps["soft"], "prior": prior, "stiff": straps["stiff"]}
@@ -134,7 +135,7 @@ def twin_coupled(
     robot: Path,
     published_gait: Path,
     published_interface: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     out: Path,
     threads: int = 1,
 ) -> None:
@@ -182,7 +183,7 @@ def _walk(
     robot: Path,
     neutral: Path,
     limits: Path,
-    settings: dict[str, Any],
+    settings: Settings,
     threads: int,
 ) -> tuple[Recording, Recording]:
     """Walk with the robot under every condition, and without it; arguments as of `twin_coupled`."""
@@ -216,7 +217,7 @@ def _compare(
     conditions: list[Condition],
     real: dict[str, Cycles],
     assisted: list[Path],
-    settings: dict[str, Any],
+    settings: Settings,
 ) -> dict[str, Any]:
     """Return ``free``, ``conditions`` and ``measured`` of the file: walks without robot, with it, and measured ones."""
     coupled, filters = settings["twin"]["coupled"], settings["ingest"]
@@ -241,7 +242,7 @@ def _condition(
     condition: Condition,
     settle_s: float,
     measured: Cycles | None,
-    filters: dict[str, Any],
+    filters: IngestSettings,
 ) -> dict[str, Any]:
     """Return what the walkers of one condition did after settling; ``filters`` is the slice ``ingest``."""
     after = part.time_s >= settle_s
@@ -263,7 +264,7 @@ def _condition(
     }
 
 
-def _measured_cloud(assisted: list[Path], filters: dict[str, Any]) -> dict[str, Any]:
+def _measured_cloud(assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
     """Return the cloud of the steady part of the measured walks with the robot."""
     trials = []
     for folder in assisted:

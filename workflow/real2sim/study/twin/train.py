@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -33,6 +33,9 @@ from real2sim.study.twin.human import Body, body_of
 from real2sim.study.twin.policy import Policy, load_reference, save_policy
 from real2sim.study.twin.ppo import Learner, Normaliser, advantages, flat, layers_of
 
+if TYPE_CHECKING:
+    from real2sim.settings import TwinSettings
+
 PACKAGES = ["mujoco", "numpy"]
 
 
@@ -49,7 +52,7 @@ class Trainer:
         Of everything random, and of the simulations; the result does not depend on the threads.
     """
 
-    def __init__(self, who: Body, reference: Reference, settings: dict[str, Any], *, seed: int, threads: int):
+    def __init__(self, who: Body, reference: Reference, settings: TwinSettings, *, seed: int, threads: int):
         self.who, self.reference, self.settings = who, reference, settings
         self.options = settings["training"]
         sims = self.options["simulations"]
@@ -335,7 +338,7 @@ def summary(verdict: dict[str, Any]) -> str:
     )
 
 
-def training_key(who: Body, reference: Path, settings: dict[str, Any], seed: int) -> str:
+def training_key(who: Body, reference: Path, settings: TwinSettings, seed: int) -> str:
     """Return the key that a checkpoint must have for a training to continue from it."""
     about = [who.height_m, who.mass_kg, who.sex, sha256(reference), settings["human"], settings["training"]]
     about += [seed, mujoco.__version__, fingerprint(__name__)]
@@ -347,7 +350,7 @@ def twin_train(
     person: Path,
     reference: Path,
     seed: int,
-    settings: dict[str, Any],
+    settings: TwinSettings,
     out: Path,
     record: Path,
     checkpoint: Path,

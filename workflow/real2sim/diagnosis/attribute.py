@@ -278,13 +278,15 @@ def _other_laws(
     """Single effects, and on the axis of the best the laws it is mistaken for that the tangent promised nothing of.
 
     Dry friction that never slips has no slope to be found by, and did not stand beside the relaxation it looks like.
+    Where the best leaves something, constants of its law that they share start from what it found.
     """
     best = found[0]
     if len(best.effects[0].where.axes) != 1:
         return found
     known = {_keys(h.effects) for h in found}
     rivals = [p for p in places if _rivals(best.effects[0], p) and _same_place(best.effects[0], p)]
-    starts = [((p,), *search.fresh((p,), best.base)) for p in rivals if _keys((p,)) not in known]
+    near = None if search.is_noise(best) else _named(best, 0)
+    starts = [((p,), *search.fresh((p,), best.base, near)) for p in rivals if _keys((p,)) not in known]
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
     tried = [search.fit(effects, z) for effects, z, _ in starts]
     return sorted([*found, *tried], key=lambda h: sum(h.chi2))

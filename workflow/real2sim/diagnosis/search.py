@@ -161,13 +161,18 @@ class Search:
         again = self.fit(effects, z)
         return again if again.chi2[0] < fitted.chi2[0] else fitted
 
-    def fresh(self, effects: tuple[Placed, ...], base: np.ndarray) -> tuple[np.ndarray, float]:
+    def fresh(
+        self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float] | None = None
+    ) -> tuple[np.ndarray, float]:
         """Best start of the last effect beside ``base`` by its cost alone, and that cost.
 
         What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
-        friction, and no tangent leads out of there. So these are tried from the middle of their range too.
+        friction, and no tangent leads out of there. So these are tried from the middle of their range too. Constants of
+        a name in ``near`` are also tried at the searched number there.
         """
         z = _fresh_starts(effects[-1], base, self.pair.system, self._settings["strengths"])
+        if near:
+            z = np.vstack([z, _carried_starts(effects[-1], base, near)])
         costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)
         costs = np.where(np.isfinite(costs), costs, FAILED)
@@ -347,6 +352,15 @@ def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: i
             freed[index] = middle[index]
         bases += [softer, freed]
     return np.array([np.concatenate([one, own]) for one in bases for own in x])
+
+
+def _carried_starts(placed: Placed, base: np.ndarray, near: Mapping[str, float]) -> np.ndarray:
+    """Starts (s, n) of an effect beside ``base``, constants of a name in ``near`` at the searched number there."""
+    x, (lower, upper) = placed.starts().copy(), placed.bounds()
+    for i, parameter in enumerate(placed.effect.parameters):
+        if parameter.name in near:
+            x[:, i] = np.clip(near[parameter.name], lower[i], upper[i])
+    return np.hstack([np.tile(base, (len(x), 1)), x])
 
 
 def _of_axis(index: Mapping[int, int], axis: int) -> list[int]:

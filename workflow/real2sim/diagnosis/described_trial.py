@@ -236,6 +236,11 @@ class DescribedTrial:
         """Whether the recording begins with standing still, long enough to tell where."""
         return self._start >= round(self._settings["still_s"] * self._rate)
 
+    @property
+    def _starts_in_equilibrium(self) -> bool:
+        """Whether the machine's controllers balance the interface at the start, as they do where all stands still."""
+        return self._pose and self._still and any(j.impedance is not None for j in self._system.machine)
+
     def _start_weights(self) -> np.ndarray:
         """Weights (2, n) of the first samples that give position and rate at the start, by a cubic in time."""
         n = max(12, round(self._settings["still_s"] * self._rate))
@@ -382,7 +387,10 @@ class DescribedTrial:
         q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))
         scales = Scales(_large(q), _large(v), ones, ones, ones)
-        return SystemEvidence(measured, simulated, self._context(measured, q, v), scales, self._settings)
+        context = self._context(measured, q, v)
+        return SystemEvidence(
+            measured, simulated, context, scales, self._settings, self._starts_in_equilibrium
+        )
 
     def _measured(self) -> Measured:
         system, recording = self._system, self._recording

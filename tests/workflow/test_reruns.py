@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import time
 
@@ -119,6 +120,47 @@ def test_changed_raw_trial_fits_that_person_only(mini):
     assert "logs/ingest/S01.log" in listed
     assert "logs/ingest/S02.log" not in listed
     assert planned["fit"] == 2, "the person's own two trials and nobody else's"
+
+
+def test_trials_that_changed_their_names_are_read_and_fitted_again(mini):
+    """Renamed files keep their dates, so nothing is newer than its results."""
+    folder = mini.folder / "resources" / "subjects" / "S01"
+    for first in folder.glob("dynamic_1.*"):
+        second, aside = first.with_name(first.name.replace("_1", "_2")), first.with_suffix(".aside")
+        first.rename(aside)
+        second.rename(first)
+        aside.rename(second)
+    planned = mini.planned()
+    assert sum(jobs for rule, jobs in planned.items() if rule.startswith("ingest")) == 1
+    assert sum(jobs for rule, jobs in planned.items() if rule.startswith("gates")) == 1
+    assert planned["fit"] == 2
+
+
+@pytest.mark.parametrize("file", ["dynamic_1.tsv", "subject.yaml"])
+def test_file_that_was_put_in_place_with_an_old_date_counts(mini, file):
+    path = mini.folder / "resources" / "subjects" / "S01" / file
+    before = path.stat()
+    path.write_bytes(path.read_bytes().rstrip() + b"\n\n")
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    planned = mini.planned()
+    assert sum(jobs for rule, jobs in planned.items() if rule.startswith("ingest")) == 1
+    assert planned["tightness"] == 1
+
+
+def test_part_that_a_robot_includes_is_an_input(mini):
+    robot = mini.folder / "resources" / "robot" / "drba.xml"
+    text = robot.read_text()
+    compiler = re.search(r"<compiler[^>]*/>", text)[0]
+    part = robot.with_name("compiler.xml")
+    part.write_text(f"<mujocoinclude>{compiler}</mujocoinclude>")
+    robot.write_text(text.replace(compiler, '<include file="compiler.xml"/>'))
+    target = "results/plant/S01.json"
+    mini.snakemake("--cores", "1", target)
+    assert mini.planned(target) == {}
+    before = part.stat()
+    part.write_text(part.read_text().replace("<compiler", "<!-- edited --><compiler"))
+    os.utime(part, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert mini.planned(target)["step_study"] == 1
 
 
 def test_gates_that_end_in_the_same_verdicts_fit_nothing(mini):

@@ -5,6 +5,7 @@ Outputs: none.
 Steps:   check the configuration; find the people; name their trials; fingerprint the code of each stage.
 """
 
+import atexit
 import gc
 import json
 import os
@@ -28,6 +29,7 @@ os.environ.update(
 
 from real2sim.__main__ import module_of
 from real2sim.configuration import read_yaml, validated
+from real2sim.contents import Contents
 from real2sim.errors import InputError
 from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
@@ -36,6 +38,7 @@ from real2sim.verification.phantom.plan import planned_files, planned_subjects
 from real2sim.verification.suite.plan import case_names, expected_time, shards
 from real2sim.provenance import fingerprint
 from real2sim.recording.subjects import discover, require_operating_point
+from real2sim.system.model_files import model_files
 
 # those that later stages ask for come first: Snakemake looks for who makes a file from the front
 TABLES = ["pose.parquet", "markers.parquet", "quality.json", "joints.parquet", "robot.parquet"]
@@ -90,6 +93,10 @@ CALIBRATION = [name for name, person in PEOPLE.items() if person.cohort == "cali
 RESTARTS = range(1, STUDY["identification"]["restarts"] + 1)
 ROBOT = STUDY["paths"]["robot"]
 PUBLISHED = STUDY["paths"]["published"]
+# Snakemake goes by dates, which a renamed, restored or unpacked file keeps: inputs of the lab count by their contents
+CONTENTS = Contents(Path(".snakemake") / "real2sim" / "contents.json")
+atexit.register(CONTENTS.save)
+ROBOT_CONTENT = CONTENTS.of(model_files(Path(ROBOT)))
 FIT_SETTINGS = json.dumps({key: STUDY[key] for key in ("identification", "plant", "robot")})
 DIAGNOSIS_SETTINGS = json.dumps(
     {
@@ -175,6 +182,18 @@ def raw_files(wildcards):
         path for files in person.trials.values() for path in (files.markers, files.markerless, files.log)
     )
     return [str(person.folder / "subject.yaml"), *(str(path) for path in recordings if path is not None)]
+
+
+def raw_content(wildcards):
+    """Fingerprint of what `raw_files` hold, as a param; those of the phantom are made by a rule and count as its outputs."""
+    return CONTENTS.of(raw_files(wildcards)) if PHANTOM is None else ""
+
+
+def subject_content(*names):
+    """Fingerprint of what people's subject.yaml hold, as a param; see `raw_content`."""
+    if PHANTOM is not None:
+        return ""
+    return CONTENTS.of(PEOPLE[name].folder / "subject.yaml" for name in names)
 
 
 def poses_of(subject, *kinds):

@@ -56,6 +56,7 @@ rule diagnose:
         neutral=lambda wildcards, input: Path(input.neutral).parent,
         known=lambda wildcards, input: given(limits=input.limits, step=input.step),
         settings=DIAGNOSIS_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("diagnose"),
     shell:
         "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
@@ -92,6 +93,7 @@ rule diagnosis_model:
         train=lambda wildcards, input: Path(input.train).parent,
         neutral=lambda wildcards, input: Path(input.neutral).parent,
         known=lambda wildcards, input: given(limits=input.limits),
+        robot=ROBOT_CONTENT,
         code=code("diagnosis-model"),
     shell:
         "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --train {params.train:q}"

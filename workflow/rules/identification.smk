@@ -32,6 +32,7 @@ rule step_study:
         runtime=10,
     params:
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("step-study"),
     shell:
         "python -m real2sim step-study --subject {wildcards.subject} --pose {input.pose:q}"
@@ -64,6 +65,7 @@ rule fit:
     params:
         restarts=list(RESTARTS),
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("fit"),
     shell:
         "python -m real2sim fit --subject {wildcards.subject} --trial {wildcards.trial} --restarts {params.restarts}"
@@ -96,6 +98,7 @@ rule assessment:
         runtime=10,
     params:
         settings=settings_of("identification", "identifiability", "plant", "robot", "ingest"),
+        robot=ROBOT_CONTENT,
         code=code("assessment"),
     shell:
         "python -m real2sim assessment --subject {wildcards.subject} --trial {wildcards.trial}"
@@ -127,6 +130,7 @@ rule noise_floor:
         runtime=10,
     params:
         settings=settings_of("identification", "identifiability", "plant", "robot"),
+        robot=ROBOT_CONTENT,
         code=code("noise-floor"),
     shell:
         "python -m real2sim noise-floor --subject {wildcards.subject} --fits {input.fits:q} --pose {input.pose:q}"
@@ -157,6 +161,7 @@ rule cross_trial:
         runtime=10,
     params:
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("cross-trial"),
     shell:
         "python -m real2sim cross-trial --subject {wildcards.subject} --fits {input.fits:q} --poses {input.poses:q}"

@@ -33,6 +33,7 @@ for _suffix, _trials, _names in protocols():
             folder=lambda wildcards, input: Path(input.raw[0]).parent,
             out=lambda wildcards, output: Path(output[0]).parents[1],
             settings=settings_of("ingest"),
+            content=raw_content,
             code=code("ingest"),
         shell:
             "python -m real2sim ingest --subject {wildcards.subject} --folder {params.folder:q} --raw {input.raw:q}"

@@ -42,6 +42,7 @@ rule motion_file:
         runtime=10,
     params:
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("motion"),
     shell:
         "python -m real2sim motion --subject {wildcards.subject} --trial {wildcards.trial} --fits {input.fits:q}"
@@ -76,6 +77,7 @@ rule motion_clip:
         runtime=10,
     params:
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("motion-clip"),
     shell:
         "python -m real2sim motion-clip --fits {input.fits:q} --pose {input.pose:q} --markers {input.markers:q}"

@@ -126,6 +126,7 @@ rule claims:
             else []
         ),
         main_cap=MAIN_CAP,
+        content=subject_content(*PEOPLE),
         code=code("claims"),
     shell:
         "python -m real2sim claims --published {input.published:q} --people {params.people:q} --sweeps {input.sweeps:q}"

@@ -77,6 +77,7 @@ rule refine:
             "true" if PRIORS == "results/priors/priors.csv" and wildcards.subject in CALIBRATION else "false"
         ),
         settings=settings_of("identification", "identifiability", "ingest", "plant", "refinement", "robot"),
+        robot=ROBOT_CONTENT,
         code=code("refine"),
     shell:
         "python -m real2sim refine --subject {wildcards.subject} --priors {input.priors:q} --poses {input.poses:q}"
@@ -113,6 +114,7 @@ rule person_interface:
     params:
         known=lambda wildcards, input: given(limits=input.limits, step=input.step),
         settings=FIT_SETTINGS,
+        robot=ROBOT_CONTENT,
         code=code("person-interface"),
     shell:
         "python -m real2sim person-interface --refined {input.refined:q} --poses {input.poses:q}"
@@ -151,6 +153,7 @@ rule person_page:
             step=input.step,
             diagnosis=input.diagnosis,
         ),
+        content=lambda wildcards: subject_content(wildcards.subject),
         code=code("person-page"),
     shell:
         "python -m real2sim person-page --person {input.person:q} --gates {input.gates:q} --refined {input.refined:q}"

@@ -32,6 +32,7 @@ if PHANTOM is not None:
                 subject=_name,
                 settings=json.dumps(PHANTOM),
                 controllers=settings_of("robot"),
+                robot=ROBOT_CONTENT,
                 code=code("phantom"),
             shell:
                 "python -m real2sim phantom --subject {params.subject} --settings {params.settings:q}"

@@ -48,6 +48,7 @@ for _suffix, _trials, _names in protocols():
             folder=lambda wildcards, input: Path(input.raw[0]).parent,
             out=lambda wildcards, output: Path(output.gates).parent,
             settings=GATE_SETTINGS,
+            content=raw_content,
             code=code("quality-subject"),
         shell:
             "python -m real2sim quality-subject --subject {wildcards.subject} --folder {params.folder:q} --raw {input.raw:q}"

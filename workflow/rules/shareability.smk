@@ -94,6 +94,7 @@ rule loso:
         runtime=10,
     params:
         settings=settings_of("identification", "plant", "robot", "statistics"),
+        robot=ROBOT_CONTENT,
         code=code("loso"),
     shell:
         "python -m real2sim loso --subject {wildcards.subject} --fits {input.fits:q} --cohort {input.cohort:q}"
@@ -226,6 +227,7 @@ rule anthropometrics:
         runtime=10,
     params:
         settings=settings_of("statistics", part="regression"),
+        content=subject_content(*CALIBRATION),
         code=code("anthropometrics"),
     shell:
         "python -m real2sim anthropometrics --fits {input.fits:q} --subjects {input.subjects:q}"

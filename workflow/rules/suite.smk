@@ -48,6 +48,7 @@ for _shard in SUITE_SHARDS:
             suite=json.dumps(SUITE),
             settings=phantom_settings(),
             controllers=settings_of("robot"),
+            robot=ROBOT_CONTENT,
             code=code("suite-cases"),
         shell:
             "python -m real2sim suite-cases --suite {params.suite:q} --shard {params.shard}"
@@ -77,6 +78,7 @@ for _shard in SUITE_SHARDS:
         params:
             work=f"results/suite/{SUITE['name']}/cases",
             settings=DIAGNOSIS_SETTINGS,
+            robot=ROBOT_CONTENT,
             code=code("suite-diagnose"),
         shell:
             "python -m real2sim suite-diagnose --cases {input.cases:q} --robot {input.robot:q}"

@@ -26,6 +26,7 @@ rule tightness:
         runtime=10,
     params:
         settings=settings_of("tightness"),
+        content=lambda wildcards: subject_content(wildcards.subject),
         code=[code("tightness-sweep"), code("tightness-breakpoints")],
     shell:
         "(python -m real2sim tightness-sweep --subject {wildcards.subject} --poses {input.poses:q}"

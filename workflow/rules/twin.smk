@@ -46,6 +46,7 @@ rule twin_human:
         runtime=10,
     params:
         settings=twin_settings("human"),
+        content=lambda wildcards: subject_content(wildcards.subject),
         code=code("twin-human"),
     shell:
         "python -m real2sim twin-human --person {input.person:q} --settings {params.settings:q} --out {output:q}"
@@ -74,6 +75,7 @@ rule twin_reference:
     params:
         walks=lambda wildcards: folders_of(wildcards.subject, "walk_normal"),
         settings=twin_settings("human", "reference"),
+        content=lambda wildcards: subject_content(wildcards.subject),
         code=code("twin-reference"),
     shell:
         "python -m real2sim twin-reference --person {input.person:q} --walks {params.walks:q}"
@@ -102,6 +104,7 @@ rule twin_train:
     params:
         checkpoint="results/twin/{subject}/seed-{seed}/checkpoint.pkl",
         settings=twin_settings("human", "training", "evaluation", "acceptance"),
+        content=lambda wildcards: subject_content(wildcards.subject),
         code=code("twin-train"),
     shell:
         "python -m real2sim twin-train --person {input.person:q} --reference {input.gait:q} --seed {wildcards.seed}"
@@ -163,6 +166,7 @@ rule twin_coupled:
         normal=lambda wildcards: folders_of(wildcards.subject, "walk_normal"),
         assisted=lambda wildcards: folders_of(wildcards.subject, "walk_robot"),
         settings=settings_of("twin", "plant", "ingest"),
+        robot=ROBOT_CONTENT,
         code=code("twin-coupled"),
     shell:
         "python -m real2sim twin-coupled --policy {input.policy:q} --record {input.record:q} --priors {input.priors:q}"
@@ -268,6 +272,7 @@ rule twin_clip:
         runtime=10,
     params:
         settings=settings_of("twin", "plant"),
+        robot=ROBOT_CONTENT,
         code=code("twin-clip"),
     shell:
         "env -u MUJOCO_GL python -m real2sim twin-clip --backend ${{MUJOCO_GL:-egl}} --policy {input.policy:q} --priors {input.priors:q}"

@@ -14,7 +14,9 @@ import sys
 import traceback
 import types
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints, is_typeddict
+
+from real2sim import settings
 
 COMMANDS = {
     "phantom": "real2sim.verification.phantom.cohort:write_subject",
@@ -106,7 +108,7 @@ def _add(parser: argparse.ArgumentParser, name: str, annotation: Any, required: 
         annotation = next(a for a in get_args(annotation) if a is not type(None))
     if get_origin(annotation) is list:
         option |= {"nargs": "*", "type": get_args(annotation)[0]}
-    elif get_origin(annotation) is dict or annotation is dict:
+    elif get_origin(annotation) is dict or annotation is dict or is_typeddict(annotation):
         option["type"] = _json
     elif annotation is bool:
         option["type"] = _flag
@@ -120,7 +122,8 @@ def _parse(command: str, function: Callable[..., None], arguments: Sequence[str]
     parser = argparse.ArgumentParser(
         prog=f"python -m real2sim {command}", description=summary, allow_abbrev=False
     )
-    hints = get_type_hints(function)
+    # types of the configuration's slices, which modules import for the type checker alone
+    hints = get_type_hints(function, localns=vars(settings))
     defaults = inspect.signature(function).parameters
     for name, parameter in defaults.items():
         _add(parser, name, hints[name], parameter.default is inspect.Parameter.empty)

@@ -59,8 +59,8 @@ CASES: dict[str, tuple[tuple[str | None, float, int, str | None], ...]] = {
         ("filter_lag", 8.0, 318, None),
     ),
     "drba": (
-        (None, 0.0, 321, None),
-        (None, 0.0, 322, None),
+        (None, 0.0, 421, None),
+        (None, 0.0, 422, None),
         ("slack", 0.006, 323, "ty"),
         ("coulomb", 8.0, 324, "tx"),
         ("stiffening", 3e6, 325, "tx"),

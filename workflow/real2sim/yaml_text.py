@@ -55,13 +55,13 @@ def parse_yaml(text: str) -> Any:
 def _check_depth(text: str) -> None:
     """Refuse deep nesting by the parser's events: they come without recursion, the tree of values does not."""
     depth = 0
-    event: Any
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > _DEEPEST:
-                line, found = event.start_mark.line + 1, f"values nested more than {_DEEPEST} deep"
-                raise YamlRefusal(line, found, "keys and values of the documentation", "Remove the nesting.")
+                mark, found = event.start_mark, f"values nested more than {_DEEPEST} deep"
+                expected = "keys and values as the documentation has them"
+                raise YamlRefusal(mark.line + 1 if mark else 0, found, expected, "Remove the nesting.")
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
 

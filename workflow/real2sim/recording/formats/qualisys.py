@@ -130,7 +130,10 @@ def _header(
         if key == "EVENT":
             events.extend(_event(path, at, cells, findings))
         elif key:
-            header[key] = [cell.strip() for cell in cells[1:]]
+            values = [cell.strip() for cell in cells[1:]] or [""]
+            if key in header:
+                _check_repeated(path, at, key, stripped(header[key]), stripped(values), findings)
+            header[key] = values
         at += 1
     names = "MARKER_NAMES" if kind == "3D" else "BODY_NAMES"
     included = " ".join(stripped(header.get("DATA_INCLUDED", [""])))
@@ -141,6 +144,20 @@ def _header(
         expected = "the header of a QTM TSV export"
         raise InputError(path, "", f"no {names} line ({found})", expected, _EXPORT_3D, "header")
     return header, events, at
+
+
+def _check_repeated(
+    path: Path, at: int, key: str, first: list[str], again: list[str], findings: list[Finding]
+) -> None:
+    """Report a header key that stands twice; refuse it where its two values differ."""
+    if first != again:
+        found = f"{key} twice: {' '.join(first)[:60]!r}, then {' '.join(again)[:60]!r}"
+        remedy = "export the trial again, or remove the line that is wrong"
+        raise InputError(path, f"line {at + 1}", found, "each key once", remedy, "header_repeated")
+    message = f"{key} twice with the same value"
+    findings.append(
+        finding("header_repeated", "warning", path, f"line {at + 1}", message, "the value is used")
+    )
 
 
 def _event(path: Path, at: int, cells: list[str], findings: list[Finding]) -> list[Event]:
@@ -208,8 +225,8 @@ def _column_row(path: Path, lines: list[str], at: int, markers: list[str]) -> tu
     if names != expected:
         wrong = next((i for i, (a, b) in enumerate(zip(names, expected, strict=False)) if a != b), len(names))
         wrong = min(wrong, len(expected))
-        found = names[wrong] if wrong < len(names) else f"only {len(names)} coordinate columns"
-        wanted = expected[wrong] if wrong < len(expected) else f"{len(expected)} coordinate columns"
+        found = repr(names[wrong]) if wrong < len(names) else f"only {len(names)} coordinate columns"
+        wanted = repr(expected[wrong]) if wrong < len(expected) else f"no more than {len(expected)} columns"
         place = f"line {at + 1}, column {len(leading) + wrong + 1}"
         raise InputError(path, place, found, f"{wanted} (order of MARKER_NAMES)", _AGAIN, "columns")
     return leading, at + 1

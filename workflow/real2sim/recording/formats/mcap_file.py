@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, Protocol
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.recordings import Finding
+from real2sim.recording.formats.ros2_definition import parse_definition, stripped_text
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
@@ -338,14 +339,14 @@ def decoder(channel: Channel) -> Callable[[bytes], Any]:
         raise Undecodable(f"its definition cannot be read: {error}"[:200], "schema") from error
 
 
-def _schema_record(channel: Channel) -> Any:
+def _schema_record(channel: Channel, data: bytes) -> Any:
     from mcap.records import Schema
 
     return Schema(
         id=channel.schema_id or 1,
         name=channel.schema_name,
         encoding=channel.schema_encoding,
-        data=channel.schema_data,
+        data=data,
     )
 
 
@@ -357,26 +358,24 @@ def _json(payload: bytes) -> Any:
 
 
 def _cdr(channel: Channel) -> Callable[[bytes], Any]:
-    from mcap_ros2._dynamic import serialize_dynamic  # its one public way in opens a file of its own
     from mcap_ros2.decoder import DecoderFactory
 
-    decode = DecoderFactory().decoder_for("cdr", _schema_record(channel))
-    encode = serialize_dynamic(channel.schema_name, channel.schema_data.decode())[channel.schema_name]
+    definition = parse_definition(channel.schema_name, channel.schema_data.decode())
+    # without the names of constants, over which the parser's pattern can take for ever
+    text = stripped_text(definition).encode()
+    decode = DecoderFactory().decoder_for("cdr", _schema_record(channel, text))
     assert decode is not None
 
     def exactly(payload: bytes) -> Any:
         if payload[:2] != b"\x00\x01":
             raise Undecodable("not little-endian CDR")
         try:
+            size = definition.end(payload)
             message = decode(payload)
         except Exception as error:
             raise Undecodable(f"not a {channel.schema_name}: {error}"[:200]) from error
-        try:
-            size = len(encode(message))
-        except ValueError:  # it cannot write arrays with default values, which it reads
-            return message
-        # The end may be filled up to a multiple of four, and an empty message has one byte.
-        if not size <= len(payload) <= size + 3:
+        # The end may be filled up to a multiple of four.
+        if len(payload) > size + 3:
             raise Undecodable(f"{len(payload)} bytes where a {channel.schema_name} takes {size}")
         return message
 
@@ -386,7 +385,7 @@ def _cdr(channel: Channel) -> Callable[[bytes], Any]:
 def _protobuf(channel: Channel) -> Callable[[bytes], Any]:
     from mcap_protobuf.decoder import DecoderFactory
 
-    decode = DecoderFactory().decoder_for("protobuf", _schema_record(channel))
+    decode = DecoderFactory().decoder_for("protobuf", _schema_record(channel, channel.schema_data))
     assert decode is not None
 
     def known(payload: bytes) -> Any:

@@ -25,6 +25,8 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
 _STATISTICS, _DATA_END = 11, 15
 _LARGEST = 1 << 28  # bytes of one record or chunk; rosbag2 writes chunks of 1 MB
 _PIECE = 1 << 20
+# Chunks may unpack to so many times the file's size, or so many bytes if that is more: logs of robots reach 7 times
+_MOST_UNPACKED, _SMALL = 20, 1 << 23
 _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it out"
 _RECOVER = "copy it again, or repair it with `mcap recover` and check what is left"
 
@@ -111,6 +113,7 @@ class _Section:
         self.schemas: dict[int, tuple[str, str, bytes]] = {}
         self.crc = 0
         self.last = -1
+        self.unpacked = 0
 
     def messages(self) -> Iterator[RawMessage]:
         self.stream.seek(0)
@@ -205,6 +208,10 @@ class _Section:
             raise ValueError("a chunk shorter than it says")
         if size > _LARGEST:
             self._refuse(at, f"a chunk of {size} bytes", "too_large")
+        self.unpacked += size
+        if self.unpacked > max(_MOST_UNPACKED * self.size, _SMALL):
+            found = f"chunks of more than {self.unpacked} bytes in a file of {self.size}"
+            self._refuse(at, found, "too_large", "if the log is sound, unpack it: `mcap decompress`")
         records = self._decompressed(at, compression, data, size)
         if crc and zlib.crc32(records) != crc:
             self._refuse(at, "a chunk whose checksum is wrong", "checksum", _RECOVER)

@@ -69,6 +69,7 @@ _KEY = re.compile(r"[A-Z][A-Z0-9_]+")
 _RATE_TOLERANCE = 0.005  # Time has 5 decimals: at 300 Hz one step rounds by 0.15 %
 _LEADING = {"frame": "frame", "sample": "frame", "time": "time"}
 _ORTHONORMAL = 1e-3  # Rot has 5 decimals
+_MOST_LEFT_OUT = 4  # times as many frames as rows, from which on the numbers are taken for wrong
 _BODY_CELLS = 16  # X Y Z, three angles, Residual, Rot[0..8]
 _AGAIN = "export the trial again"
 
@@ -327,7 +328,7 @@ def _fill_frames(
     total = int(frames[-1] - frames[0]) + 1
     if total == len(frames):
         return time_s, positions
-    if total > 100 * len(frames):
+    if total > _MOST_LEFT_OUT * len(frames):
         found = f"{len(frames)} frames numbered {frames[0]} to {frames[-1]}"
         expected = "consecutive frame numbers"
         raise InputError(path, "column Frame", found, expected, _AGAIN, "frame_number")

@@ -82,7 +82,7 @@ def trained(
     if not (policy.exists() and record.exists() and read_json(record).get("settings_sha256") == made_with):
         trainer = Trainer(who, reference_of(who, study, phantom), study["twin"], seed=seed, threads=threads)
         wall, cpu = time.monotonic(), time.process_time()
-        ended = train(trainer, checkpoint=folder / f"{name}.pkl", key=name + made_with)
+        ended = train(trainer, checkpoint=folder / f"{name}.checkpoint.npz", key=name + made_with)
         chosen_steps, best = trainer.chosen()
         save_policy(policy, best)
         write_json(
@@ -98,7 +98,7 @@ def trained(
                 "evaluations": plain(trainer.evaluations),
             },
         )
-        (folder / f"{name}.pkl").unlink(missing_ok=True)
+        (folder / f"{name}.checkpoint.npz").unlink(missing_ok=True)
     return load_policy(policy), read_json(record)
 
 

@@ -120,6 +120,46 @@ def test_tsv_wrong_count_is_reported_and_the_data_used(tmp_path):
     assert len(read.time_s) == 2
 
 
+@pytest.mark.parametrize("key", ["NO_OF_FRAMES", "NO_OF_MARKERS", "FREQUENCY", "TIME_STAMP"])
+def test_tsv_header_key_without_a_value_counts_as_not_there(tmp_path, key):
+    path = tsv(tmp_path, [row(1), row(2), row(3)])
+    head, _, rest = path.read_text().partition(f"{key}\t")
+    path.write_text(head + key + "\n" + rest.partition("\n")[2])
+    assert read_markers(path).rate_hz == pytest.approx(100)
+
+
+@pytest.mark.parametrize("key", ["DATA_INCLUDED", "MARKER_NAMES"])
+def test_tsv_header_without_names_or_data_type_is_refused_or_read(tmp_path, key):
+    path = tsv(tmp_path, [row(1), row(2)])
+    head, _, rest = path.read_text().partition(f"{key}\t")
+    path.write_text(head + key + "\n" + rest.partition("\n")[2])
+    if key == "DATA_INCLUDED":
+        assert len(read_markers(path).time_s) == 2
+    else:
+        with pytest.raises(InputError, match="without a name"):
+            read_markers(path)
+
+
+def test_tsv_header_key_that_stands_twice_is_reported_or_refused(tmp_path):
+    same = read_markers(tsv(tmp_path, [row(1), row(2)], extra="FREQUENCY\t100\t\n"))
+    assert codes(same) == ["header_repeated"]
+    assert "FREQUENCY" in same.findings[0].message
+    with pytest.raises(InputError, match=r"line 9(.|\n)*MARKER_NAMES twice(.|\n)*'New 0001 IF_L'") as caught:
+        read_markers(tsv(tmp_path, [row(1), row(2)], extra="MARKER_NAMES\tNew 0001\tIF_L\n"))
+    assert caught.value.code == "header_repeated"
+
+
+def test_what_was_found_never_reads_like_what_was_expected(tmp_path):
+    rows = [row(i) + "\t" for i in (1, 2, 3)] + [row(4)] + [row(i) + "\t" for i in (5, 6)]
+    with pytest.raises(InputError) as caught:
+        read_markers(tsv(tmp_path, rows))
+    assert caught.value.found == "8 cells, 9 in most rows"
+    assert caught.value.expected == "9 cells as in most rows"
+    with pytest.raises(InputError) as caught:
+        read_markers(tsv(tmp_path, [row(1)], columns=COLUMNS.replace("IF_L X", "IF_L\u00a0X")))
+    assert (caught.value.found, caught.value.expected[:8]) == ("'IF_L\\xa0X'", "'IF_L X'")
+
+
 def test_tsv_external_rate_comes_from_the_time_column(tmp_path):
     assert read_markers(tsv(tmp_path, [row(1), row(2), row(3)], rate="EXT")).rate_hz == pytest.approx(100)
 

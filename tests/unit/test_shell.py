@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import shutil
 import subprocess
@@ -46,6 +47,40 @@ def test_unknown_key_names_file_place_and_the_nearest_key():
 def test_wrong_type_names_the_key_and_what_it_means():
     with pytest.raises(InputError, match=r"plant\.timestep_s(.|\n)*Time step"):
         validated({"plant": {"timestep_s": "fast"}}, "config", Path("c.yaml"))
+
+
+def numbers(value, place=()):
+    """Places of all numbers of a configuration."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from numbers(inner, (*place, key))
+    elif isinstance(value, list):
+        for i, inner in enumerate(value):
+            yield from numbers(inner, (*place, i))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield place
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_is_none_is_refused_wherever_it_stands(value):
+    whole = validated({}, "config", Path("none"))
+    places = list(numbers(whole))
+    assert len(places) > 300
+    for place in places[:: 1 if value != value else 17]:
+        changed = copy.deepcopy(whole)
+        part = changed
+        for key in place[:-1]:
+            part = part[key]
+        part[place[-1]] = value
+        with pytest.raises(InputError) as caught:
+            validated(changed, "config", Path("c.yaml"))
+        assert str(place[-1]) in caught.value.place
+
+
+@pytest.mark.parametrize(("rate", "cutoff"), [(100, 50), (100, 60), (20, 12)])
+def test_a_cut_off_that_switches_the_low_pass_off_is_refused(rate, cutoff):
+    with pytest.raises(InputError, match=r"ingest\.cutoff_hz(.|\n)*less than half of ingest\.rate_hz"):
+        validated({"ingest": {"rate_hz": rate, "cutoff_hz": cutoff}}, "config", Path("c.yaml"))
 
 
 def test_every_key_of_the_schemas_is_described():

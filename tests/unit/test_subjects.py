@@ -1,5 +1,6 @@
 """Folders of people: grammar, subject.yaml, everything that must be refused by name."""
 
+import os
 import subprocess
 import sys
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from real2sim.errors import InputError
+from real2sim.recording.formats import detect
 from real2sim.recording.subjects import discover, parse_trial, read_subject, require_operating_point
 
 VALUES = {
@@ -181,6 +183,9 @@ def test_tightness_values(tmp_path, tightness, message):
         ({"exclude": {"neutral": "sneezed"}}, "no trial neutral (excluded: sneezed)"),
         ({"id": "S02"}, "id S02 in a folder S01"),
         ({"id": 1}, "subject.yaml, id"),
+        ({"mass_kg": float("nan")}, "subject.yaml, mass_kg\n  found:    nan"),
+        ({"age_years": float("nan")}, "subject.yaml, age_years"),
+        ({"age_years": True}, "subject.yaml, age_years"),
     ],
 )
 def test_subject_values(tmp_path, values, message):
@@ -192,6 +197,81 @@ def test_subject_values(tmp_path, values, message):
 def test_subject_yaml_that_is_none(tmp_path, text):
     (person(tmp_path) / "subject.yaml").write_text(text)
     assert "subject.yaml" in refusal(tmp_path)
+
+
+def test_a_key_that_stands_twice_is_refused_with_its_lines(tmp_path):
+    path = person(tmp_path) / "subject.yaml"
+    path.write_text("mass_kg: 80\n" + path.read_text())
+    text = refusal(tmp_path)
+    assert "subject.yaml, line 6" in text
+    assert "key 'mass_kg' twice, first in line 1" in text
+
+
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        pytest.param("a: " + "[" * 200_000, "nested more than", id="deep brackets"),
+        pytest.param("- " * 100_000, "nested more than", id="deep dashes"),
+        pytest.param(BOMB, "aliases", id="aliases of aliases"),
+        pytest.param("a: &a [*a]\n", "alias inside of what it stands for", id="alias of itself"),
+        pytest.param("id: 2026-13-45\n", "cannot be read: month", id="a date that is none"),
+        pytest.param("mass_kg: " + "9" * 400, "than the maximum of 300", id="a huge number"),
+    ],
+)
+def test_odd_yaml_is_refused_quickly(tmp_path, text, message):
+    folder = person(tmp_path)
+    path = folder / "subject.yaml"
+    if text.startswith("mass_kg"):
+        text = path.read_text().replace("mass_kg: 60.5", text)
+    path.write_text(text)
+    start = time.process_time()
+    assert message in refusal(tmp_path)
+    assert time.process_time() - start < 1
+
+
+def make_folder(path):
+    path.mkdir()
+
+
+def make_loop(path):
+    path.symlink_to(path)
+
+
+def make_dead_link(path):
+    path.symlink_to(path.with_name("nowhere"))
+
+
+def make_pipe(path):
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize("name", ["subject.yaml", "dynamic_1.tsv", "dynamic_1.mcap"])
+@pytest.mark.parametrize("make", [make_folder, make_loop, make_dead_link, make_pipe])
+def test_what_is_no_file_is_refused_and_nothing_hangs(tmp_path, name, make):
+    path = person(tmp_path) / name
+    path.unlink()
+    make(path)
+    text = refusal(tmp_path)
+    assert f"S01/{name}" in text
+
+
+@pytest.mark.parametrize("make", [make_loop, make_dead_link, make_pipe])
+def test_what_is_no_folder_among_the_people_is_refused(tmp_path, make):
+    person(tmp_path)
+    make(tmp_path / "S02")
+    assert "S02" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("make", [make_folder, make_loop, make_pipe])
+def test_readers_do_not_wait_for_a_pipe(tmp_path, make):
+    make(tmp_path / "dynamic_1.tsv")
+    with pytest.raises(InputError, match=r"dynamic_1\.tsv"):
+        detect.detect(tmp_path / "dynamic_1.tsv")
 
 
 def test_subject_without_yaml(tmp_path):

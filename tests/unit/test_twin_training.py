@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import pickle
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
+from real2sim.study.twin.checkpoint import read_checkpoint, write_checkpoint
 from real2sim.study.twin.env import (
     ACTIONS,
     OBSERVATIONS,
@@ -184,10 +187,10 @@ def test_training_is_the_same_bits_again_and_after_an_interruption(tmp_path):
     again = Trainer(WHO, reference(), settings, seed=5, threads=2)
     again.iterate()
     again.iterate()
-    again.save(tmp_path / "c.pkl", "key")
+    again.save(tmp_path / "c.npz", "key")
     later = Trainer(WHO, reference(), settings, seed=5, threads=1)
-    assert not later.load(tmp_path / "c.pkl", "another key")
-    assert later.load(tmp_path / "c.pkl", "key")
+    assert not later.load(tmp_path / "c.npz", "another key")
+    assert later.load(tmp_path / "c.npz", "key")
     train(later, progress=lambda text: None)
     for (w, b), (w2, b2) in zip(once.policy().actor, later.policy().actor, strict=True):
         np.testing.assert_array_equal(w, w2)
@@ -195,6 +198,89 @@ def test_training_is_the_same_bits_again_and_after_an_interruption(tmp_path):
     other = Trainer(WHO, reference(), settings, seed=6, threads=1)
     train(other, progress=lambda text: None)
     assert not np.array_equal(once.policy().actor[0][0], other.policy().actor[0][0])
+
+
+def _rewritten(path: Path, change) -> None:
+    """Write a checkpoint again with its arrays and numbers changed."""
+    arrays, about = read_checkpoint(path)
+    change(arrays, about)
+    write_checkpoint(path, arrays, about)
+
+
+DAMAGES = {
+    "cut off": lambda path: path.write_bytes(path.read_bytes()[:-500]),
+    "one byte": lambda path: path.write_bytes(
+        path.read_bytes()[:5000] + bytes([path.read_bytes()[5000] ^ 1]) + path.read_bytes()[5001:]
+    ),
+    "empty": lambda path: path.write_bytes(b""),
+    "a pickle": lambda path: path.write_bytes(pickle.dumps({"key": "key"})),
+    "a pickle in the archive": lambda path: np.savez(path, about_json=np.array([{"key": "key"}])),
+    "no numbers": lambda path: np.savez(path, phase=np.zeros(3)),
+    "an array less": lambda path: _rewritten(path, lambda arrays, about: arrays.pop("phase")),
+    "another shape": lambda path: _rewritten(
+        path, lambda arrays, about: arrays.update(actor_0=arrays["actor_0"][1:])
+    ),
+    "a number less": lambda path: _rewritten(path, lambda arrays, about: about.pop("curve")),
+    "another random state": lambda path: _rewritten(
+        path, lambda arrays, about: about.update(random=[{"state": 1}, {}])
+    ),
+    "other settings": lambda path: _rewritten(path, lambda arrays, about: about.update(key="other")),
+}
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """A checkpoint after one iteration, and another training that has not begun."""
+    trainer, fresh = (Trainer(WHO, reference(), _small(), seed=5, threads=1) for _ in range(2))
+    trainer.iterate()
+    path = tmp_path_factory.mktemp("interrupted") / "c.npz"
+    trainer.save(path, "key")
+    return path, fresh
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_checkpoint_that_cannot_be_used_is_reported_and_changes_nothing(tmp_path, interrupted, damage):
+    source, trainer = interrupted
+    path = tmp_path / "c.npz"
+    shutil.copy(source, path)
+    DAMAGES[damage](path)
+    before = {name: array.tobytes() for name, array in trainer._arrays().items()}, trainer._numbers()
+    said = []
+    assert not trainer.load(path, "key", said.append)
+    assert len(said) == 1
+    assert str(path) in said[0]
+    assert "starts from the beginning" in said[0]
+    assert before == (
+        {name: array.tobytes() for name, array in trainer._arrays().items()},
+        trainer._numbers(),
+    )
+
+
+def test_after_a_damaged_checkpoint_the_training_is_that_without_one(tmp_path):
+    path, said, weights = tmp_path / "c.npz", [], []
+    path.write_bytes(b"PK damaged")
+    for checkpoint in (None, path):
+        trainer = Trainer(WHO, reference(), _small(steps=1024), seed=5, threads=1)
+        train(trainer, checkpoint=checkpoint, key="key", progress=said.append)
+        weights.append([w.tobytes() for w, _ in trainer.policy().actor])
+    assert weights[0] == weights[1]
+    assert sum("starts from the beginning" in line for line in said) == 1
+
+
+def test_a_checkpoint_holds_every_bit_and_is_the_same_file_again(tmp_path):
+    trainer = Trainer(WHO, reference(), _small(), seed=5, threads=1)
+    trainer.iterate()
+    trainer.evaluations.append({"walk": {"speed_error": 0.1 + 0.2}, "met": {"falls": False}, "none": None})
+    trainer.keep({"met": {"falls": True}})
+    trainer.save(tmp_path / "a.npz", "key")
+    later = Trainer(WHO, reference(), _small(), seed=5, threads=1)
+    assert later.load(tmp_path / "a.npz", "key")
+    later.save(tmp_path / "b.npz", "key")
+    (first, about), (second, again) = (read_checkpoint(tmp_path / name) for name in ("a.npz", "b.npz"))
+    assert about == again
+    assert {name: array.tobytes() for name, array in first.items()} == {
+        name: array.tobytes() for name, array in second.items()
+    }
 
 
 def test_of_policies_that_meet_as_many_bars_the_latest_is_kept_also_after_an_interruption(tmp_path):
@@ -205,9 +291,9 @@ def test_of_policies_that_meet_as_many_bars_the_latest_is_kept_also_after_an_int
         trainer.iterate()
         kept[trainer.steps] = trainer.policy()
         trainer.keep({"met": {"falls": met > 0, "speed": met > 1}})
-    trainer.save(tmp_path / "c.pkl", "key")
+    trainer.save(tmp_path / "c.npz", "key")
     later = Trainer(WHO, reference(), _small(), seed=5, threads=1)
-    assert later.load(tmp_path / "c.pkl", "key")
+    assert later.load(tmp_path / "c.npz", "key")
     steps, policy = later.chosen()
     assert steps == sorted(kept)[2]
     for (w, _), (known, _) in zip(policy.actor, kept[steps].actor, strict=True):
@@ -240,7 +326,7 @@ def test_the_stage_writes_policy_and_record(tmp_path):
     (tmp_path / "subject.yaml").write_text("{height_m: 1.75, mass_kg: 75.0, sex: male, phantom: true}")
     settings = _small(steps=1024, evaluate_from_steps=0, evaluate_every_steps=512)
     settings["training"]["push"]["force_n"] = 0
-    files = [tmp_path / name for name in ("policy.npz", "policy.json", "checkpoint.pkl")]
+    files = [tmp_path / name for name in ("policy.npz", "policy.json", "checkpoint.npz")]
     twin_train(
         person=tmp_path / "subject.yaml",
         reference=tmp_path / "reference.npz",

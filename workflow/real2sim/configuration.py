@@ -3,34 +3,39 @@
 from __future__ import annotations
 
 import difflib
+import math
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 import jsonschema
-import yaml
 
 from real2sim.errors import InputError
+from real2sim.yaml_text import YamlRefusal, parse_yaml
 
 SCHEMAS = Path(__file__).parent / "schemas"
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file; raises InputError where it is missing or not YAML."""
+    """Read a YAML file; raises InputError where it is missing, no file, not YAML, or has a key twice."""
     try:
-        return yaml.load(
-            path.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        )
+        if path.exists() and not path.is_file():
+            # opening a pipe would wait for ever
+            what = "a folder" if path.is_dir() else "a pipe, socket or device"
+            raise InputError(path, "", what, "a YAML file", "Put the file in its place.")
+        return parse_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(path, "", "no such file", "a YAML file", "Check the path.") from error
+    except OSError as error:
+        found, remedy = error.strerror or str(error), "Check the path and who may read it."
+        raise InputError(path, "", found, "a YAML file", remedy) from error
     except UnicodeDecodeError as error:
         raise InputError(path, "", "bytes that are not UTF-8", "YAML text", "Save it as UTF-8.") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}" if mark else ""
-        found = str(getattr(error, "problem", None) or error)
-        raise InputError(path, place, found, "valid YAML", "Mend the syntax.") from error
+    except YamlRefusal as error:
+        place = f"line {error.line}" if error.line else ""
+        raise InputError(path, place, error.found, error.expected, error.remedy) from error
 
 
 @cache
@@ -83,10 +88,49 @@ def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: 
     if error.validator == "required":
         expected = f"keys {', '.join(cast('list[str]', error.validator_value))}"
         return InputError(source, place, error.message, expected, "Add the key.")
-    expected = str(failed.get("description", error.message))
-    return InputError(
-        source, place, error.message, expected, "Correct the value; config/README.md has the keys."
-    )
+    message = _shortened(error.message)
+    expected = str(failed.get("description", "a value that the schema allows"))
+    return InputError(source, place, message, expected, "Correct the value; config/README.md has the keys.")
+
+
+def _shortened(text: str) -> str:
+    """Return a message of at most 300 characters: it may quote a whole document."""
+    return text if len(text) <= 300 else f"{text[:200]} ... {text[-80:]}"
+
+
+def _not_finite(value: Any, place: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Yield place and value of each number that is NaN, infinite or beyond a double: no schema refuses them."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _not_finite(inner, (*place, str(key)))
+    elif isinstance(value, list | tuple):
+        for i, inner in enumerate(value):
+            yield from _not_finite(inner, (*place, str(i)))
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield ".".join(place) or "top level", value
+    elif isinstance(value, int) and abs(value) > sys.float_info.max:
+        yield ".".join(place) or "top level", f"an integer of {value.bit_length()} bits"
+
+
+def _check_finite(value: Any, schema: dict[str, Any], source: Path) -> None:
+    for place, found in _not_finite(value):
+        about: Any = schema
+        for key in place.split("."):
+            about = (about.get("properties") or {}).get(key, {}) if isinstance(about, dict) else {}
+        expected = (
+            f"a finite number ({about['description']})" if "description" in about else "a finite number"
+        )
+        raise InputError(source, place, f"{found}", expected, "Write the number, or remove the line.")
+
+
+def _check_low_pass(content: dict[str, Any], source: Path) -> None:
+    """Refuse a low-pass that the common clock cannot hold: at half its rate and above nothing is filtered."""
+    cutoff, rate = content["ingest"]["cutoff_hz"], content["ingest"]["rate_hz"]
+    if cutoff >= rate / 2:
+        found = f"a cut-off of {cutoff:g} Hz with ingest.rate_hz at {rate:g} Hz"
+        expected = f"less than half of ingest.rate_hz ({rate / 2:g} Hz)"
+        remedy = "Lower ingest.cutoff_hz, or raise ingest.rate_hz."
+        raise InputError(source, "ingest.cutoff_hz", found, expected, remedy)
 
 
 def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
@@ -95,7 +139,8 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Naming ``source``, the key, and for an unknown key the nearest known one.
+        Naming ``source``, the key, and for an unknown key the nearest known one. Numbers that are NaN or infinite
+        are refused everywhere.
     """
     validator = _validator(schema_name)
     schema = cast("dict[str, Any]", validator.schema)
@@ -103,4 +148,7 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     errors = sorted(validator.iter_errors(filled), key=lambda e: len(e.absolute_path))
     if errors:
         raise _explain(errors[0], schema, source)
+    _check_finite(filled, schema, source)
+    if schema_name == "config":
+        _check_low_pass(filled, source)
     return filled

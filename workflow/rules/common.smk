@@ -47,6 +47,10 @@ TABLES = ["pose.parquet", "markers.parquet", "quality.json", "joints.parquet", "
 def load_study(raw_config):
     """Checked configuration, people by id, and the phantom's settings (None with real data)."""
     sources = ", ".join(map(str, workflow.configfiles)) or "config"
+    for source in workflow.configfiles:
+        # Snakemake has read them already and keeps the last of a key that stands twice
+        if Path(source).suffix in (".yaml", ".yml"):
+            read_yaml(Path(source))
     study = validated(raw_config, "config", sources)
     people = {} if study["cohort"] == "phantom" else discover(Path(study["paths"]["subjects"]))
     phantom = None

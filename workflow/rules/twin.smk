@@ -102,7 +102,7 @@ rule twin_train:
         mem_mb=600,
         runtime=40,
     params:
-        checkpoint="results/twin/{subject}/seed-{seed}/checkpoint.pkl",
+        checkpoint="results/twin/{subject}/seed-{seed}/checkpoint.npz",
         settings=twin_settings("human", "training", "evaluation", "acceptance"),
         content=lambda wildcards: subject_content(wildcards.subject),
         code=code("twin-train"),

@@ -21,7 +21,8 @@ from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translatio
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
 from real2sim.recording.formats.robot_log import ARM_JOINTS
 from real2sim.recording.quality import markers
-from real2sim.recording.subjects import TrialFiles, parse_trial, read_subject
+from real2sim.recording.standing import check_standing
+from real2sim.recording.subjects import SUBJECT_FILE, TrialFiles, parse_trial, read_subject
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSettings
@@ -47,6 +48,8 @@ class _Trial:
     mot: Path
     log: Path | None
     findings: list[Finding]
+    # names under markers: in subject.yaml that no file of the trial has, as far as they have been read
+    absent: set[str]
 
     def note(self, code: str, severity: str, path: Path, place: str, message: str, action: str) -> None:
         self.findings.append(Finding(code, severity, path.name, place, message, action))
@@ -60,6 +63,7 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
     recording = read_markers(trial.tsv)
     trial.findings.extend(recording.findings)
     _check_rate(trial, recording.rate_hz)
+    trial.absent -= recording.positions.keys()
     positions: dict[str, np.ndarray] = {}
     for lab, values in recording.positions.items():
         ours = marker_names.get(lab, lab)
@@ -366,6 +370,7 @@ def _landmarks(
     trial: _Trial, recording: MarkerRecording, marker_names: dict[str, str]
 ) -> tuple[dict[str, np.ndarray], alignment.PelvisPath]:
     """Columns ``<landmark>_x/_y/_z`` [m, as in the file], and the pelvis of its four landmarks, z up."""
+    trial.absent -= recording.positions.keys()
     points: dict[str, np.ndarray] = {}
     for lab, values in recording.positions.items():
         ours = marker_names.get(lab, lab)
@@ -683,18 +688,19 @@ def ingest_trial(
     settings
         The slice ``ingest`` of the configuration.
     out
-        Folder for markers, pose, joints and robot.parquet (SI units; unit and frame of each column in the metadata)
-        and quality.json.
+        Folder for quality.json and {markers,pose,joints,robot}.parquet (SI units; each column's metadata has its own).
 
     Raises InputError where a file cannot be used.
     """
-    work = _Trial(subject, trial, phantom, settings, files.markers, files.markerless, files.log, [])
+    raw = (files.markers, files.markerless, files.log)
+    work = _Trial(subject, trial, phantom, settings, *raw, [], set(marker_names))
     reference = None if neutral is None else read_json(neutral, ("rest", "pelvis_geometry"))
     recording, width = _repair_swaps(work, _load_markers(work, marker_names), reference)
     clock, positions, flags, marker_report = _filter_markers(work, recording)
     _check_geometry(work, positions, reference)
     model = reference["pelvis_geometry"] if reference else _pelvis_geometry(positions)
     pelvis = _pelvis(work, clock, positions, model)
+    _check_standing(work, positions, pelvis, reference)
     robot, up, robot_report = _robot(work, clock, positions)
     joints, markerless_report = _joints(work, clock, *pelvis, marker_names)
     interface = _interface(clock, positions, up)
@@ -713,11 +719,11 @@ def ingest_trial(
         "markerless": markerless_report,
         "robot": robot_report,
         "interface_up_axis": "arm" if up is not None else "world z",
+        **_sources(work),
     }
     if reference is None:
         quality |= {"rest": rest, "pelvis_geometry": model, "standing_sd_m": _standing_noise(recording)}
         quality["interface_width_m"] = width
-    quality |= _sources(work)
     write_json(out / "quality.json", quality)
     return quality
 
@@ -754,6 +760,7 @@ def _summary(work: _Trial, clock: np.ndarray, q: np.ndarray) -> dict[str, Any]:
         "duration_s": float(clock[-1] - clock[0]),
         "interface_known": float(np.isfinite(q).all(axis=1).mean()),
         "findings": [asdict(finding) for finding in work.findings],
+        "names_absent": sorted(work.absent),
     }
 
 
@@ -783,6 +790,26 @@ def _check_geometry(work: _Trial, positions: dict[str, np.ndarray], reference: d
         )
 
 
+def _check_standing(
+    work: _Trial,
+    positions: dict[str, np.ndarray],
+    pelvis: tuple[np.ndarray, np.ndarray],
+    reference: dict[str, Any] | None,
+) -> None:
+    """Refuse a lab whose axes are not as stated, and exchanged sides; warn about a person who faces elsewhere.
+
+    Only ``neutral``, the trial without a ``reference``, shows a person who stands.
+    """
+    if reference is not None:
+        return
+    stated = work.settings["lab_to_world"]
+    sides = [positions[name] for name in geometry.INTERFACE_MARKERS if name in positions]
+    across = sides[0] - sides[1] if len(sides) == 2 else None
+    odd = check_standing(work.tsv, stated, lab_to_world(stated), pelvis, across)
+    if odd:
+        work.note("facing", "warning", work.tsv, "", odd, "used as stated")
+
+
 def ingest_subject(
     *, subject: str, folder: Path, settings: IngestSettings, raw: list[Path], out: Path
 ) -> None:
@@ -794,6 +821,7 @@ def ingest_subject(
     person = read_subject(folder)
     _check_files(person.trials, folder, raw)
     neutral = out / "neutral" / "quality.json"
+    absent = set(person.markers)
     for trial in sorted(person.trials, key=lambda name: (name != "neutral", name)):
         quality = ingest_trial(
             subject=subject,
@@ -805,6 +833,7 @@ def ingest_subject(
             phantom=person.phantom,
             out=out / trial,
         )
+        absent &= set(quality["names_absent"])
         warnings = sum(finding["severity"] != "info" for finding in quality["findings"])
         markerless = quality["markerless"]
         print(
@@ -814,6 +843,12 @@ def ingest_subject(
         )
     for trial, reason in person.exclude.items():
         print(f"{subject} {trial}: excluded ({reason})", flush=True)
+    if absent:
+        found = f"{', '.join(sorted(absent))}, which no marker or landmark of any trial is called"
+        remedy = "correct the name, or remove the line"
+        raise InputError(
+            folder / SUBJECT_FILE, "key markers", found, "names of the recordings", remedy, "marker_source"
+        )
 
 
 def _check_files(trials: dict[str, TrialFiles], folder: Path, raw: list[Path]) -> None:

@@ -35,6 +35,7 @@ _TRIAL = re.compile(
     r"|(?P<counted>dynamic|walk_normal|walk_robot)_(?P<number>[1-9]\d*)"
 )
 _SUBJECT_ID = re.compile(r"[A-Za-z0-9]+")
+_FILE, _FOLDER = "a file", "a folder"
 _NOT_TRIALS = ("README.md", "README.txt")  # may lie beside the subjects and in their folders
 
 
@@ -112,13 +113,11 @@ def discover(root: Path) -> dict[str, Subject]:
         return {}
     subjects: dict[str, Subject] = {}
     declared: dict[str, str] = {}
-    with os.scandir(root) as entries:
-        found = sorted((entry.name, entry.is_dir()) for entry in entries if not entry.name.startswith("."))
-    for name, is_folder in found:
+    for name, kind in _entries(root):
         if name in _NOT_TRIALS:
             continue
-        if not is_folder or not _SUBJECT_ID.fullmatch(name):
-            what = f"a folder named {name!r}" if is_folder else "a file"
+        if kind != _FOLDER or not _SUBJECT_ID.fullmatch(name):
+            what = f"a folder named {name!r}" if kind == _FOLDER else kind
             expected = "one folder per person, named by letters and digits (S01, ...)"
             raise InputError(root / name, "", what, expected, "rename it or move it elsewhere", "folder_name")
         values = subject_values(root / name)
@@ -147,7 +146,7 @@ def read_subject(folder: Path) -> Subject:
 def subject_values(folder: Path) -> dict[str, Any]:
     """What a folder's `subject.yaml` says, valid by its schema. Raises InputError naming file and key."""
     path = folder / SUBJECT_FILE
-    if not path.exists():
+    if not os.path.lexists(path):
         expected = f"{SUBJECT_FILE} that says who this person is"
         raise InputError(
             folder, "", f"no {SUBJECT_FILE}", expected, f"add {path} (config/README.md)", "subject_file"
@@ -196,16 +195,44 @@ def _subject(folder: Path, values: dict[str, Any]) -> Subject:
     return Subject(**rest, markers=dict(values["markers"]), exclude=exclude, trials=trials, folder=folder)
 
 
+def _entries(folder: Path) -> list[tuple[str, str]]:
+    """Names in a folder without the hidden ones, in order, and what each is; links count as what they lead to.
+
+    Raises InputError where the folder cannot be listed.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            return sorted((entry.name, _what(entry)) for entry in entries if not entry.name.startswith("."))
+    except OSError as error:
+        found, remedy = error.strerror or str(error), "check the path and who may read it"
+        raise InputError(folder, "", found, "a folder that can be listed", remedy, "unreadable") from error
+
+
+def _what(entry: os.DirEntry[str]) -> str:
+    try:
+        if entry.is_file():
+            return _FILE
+        if entry.is_dir():
+            return _FOLDER
+        return "a link that leads nowhere" if entry.is_symlink() else "a pipe, socket or device"
+    except OSError as error:  # a link that leads to itself
+        return f"a link that cannot be followed ({error.strerror or error})"
+
+
 def _files(folder: Path) -> dict[str, dict[str, Path]]:
     """Files by trial and kind."""
     out: dict[str, dict[str, Path]] = {}
-    with os.scandir(folder) as entries:
-        names = sorted(entry.name for entry in entries if not entry.name.startswith("."))
-    for name in names:
+    for name, found_as in _entries(folder):
         if name == SUBJECT_FILE or name in _NOT_TRIALS:
             continue
+        if found_as not in (_FILE, _FOLDER):
+            remedy = "put the file itself there, or remove it"
+            raise InputError(folder / name, "", found_as, "a file of a trial", remedy, "no_file")
         trial, suffix = os.path.splitext(name)
         kind = _KIND_OF.get(suffix)
+        if kind is not None and found_as == _FOLDER:
+            remedy = "put the file itself there, or rename the folder"
+            raise InputError(folder / name, "", _FOLDER, f"a {kind}", remedy, "no_file")
         if kind is None:
             expected = f"{SUBJECT_FILE} and trials as {', '.join(_KIND_OF)}"
             raise InputError(

@@ -61,7 +61,8 @@ def load_robot(path: Path) -> mujoco.MjSpec:
     Raises
     ------
     InputError
-        Where the file does not compile or a body, joint or site that the plant needs is missing.
+        Where the file does not compile, a body, joint or site that the plant needs is missing, or the interface's
+        left and right site are exchanged.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -80,7 +81,21 @@ def load_robot(path: Path) -> mujoco.MjSpec:
             "the names of the robot twin (docs, own robot)",
             "Rename them.",
         )
+    _check_sides(path, spec)
     return spec
+
+
+def _check_sides(path: Path, spec: mujoco.MjSpec) -> None:
+    """Refuse interface sites that are not left and right of each other along y, as the markers IF_L and IF_R are."""
+    left, right = (np.array(spec.site(name).pos) for name in INTERFACE_SITES)
+    along = left - right
+    if along[1] > 0 and np.argmax(np.abs(along)) == 1:
+        return
+    found = f"interface_left at {left.round(3).tolist()} and interface_right at {right.round(3).tolist()} m"
+    expected = "interface_left on the +y side (left) of the body interface, interface_right on its -y side"
+    remedy = "Exchange the names of the two sites, or turn the body's frame: x forward, y left, z up."
+    place = f"sites {', '.join(INTERFACE_SITES)}"
+    raise InputError(path, place, found, expected, remedy, "site_sides")
 
 
 def interface_site_offset(robot: mujoco.MjModel) -> np.ndarray:

@@ -200,7 +200,7 @@ def _recording(
     unit = (_texts(groups, "POINT", "UNITS") or [""])[0]
     if unit.lower() not in UNITS_PER_M:
         expected = ", ".join(UNITS_PER_M)
-        raise InputError(path, "POINT:UNITS", unit or "nothing", expected, _EXPORT, "units")
+        raise InputError(path, "POINT:UNITS", repr(unit) if unit else "nothing", expected, _EXPORT, "units")
     scale = UNITS_PER_M[unit.lower()]
     # The coordinates of a missing point are 0 in the file and mean nothing; some write NaN.
     values = np.where((residual < 0)[:, :, None], np.nan, values / scale)

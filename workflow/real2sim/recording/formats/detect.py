@@ -35,6 +35,10 @@ def detect(path: Path, expected: str = "") -> str:
     expected = expected or ", ".join(name for name, _ in FORMATS.values())
     remedy = "export the file again in one of these formats"
     try:
+        if path.exists() and not path.is_file():
+            # opening a pipe would wait for ever
+            found = "a folder" if path.is_dir() else "a pipe, socket or device"
+            raise InputError(path, "", found, expected, "put the file itself there", "no_file")
         with path.open("rb") as stream:
             head = stream.read(_HEAD)
     except OSError as error:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 _HEADER = 128
-_LARGEST = 1 << 29  # bytes of one decompressed variable
+# Compressed variables may take so many times the file's size, or so many bytes if that is more: positions reach 2 times
+_MOST_UNPACKED, _SMALL = 5, 1 << 24
 _DEPTH = 16
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {
@@ -32,12 +33,18 @@ def variables(raw: bytes) -> dict[str, Any]:
     """
     order = "<" if raw[126:128] == b"IM" else ">"
     out: dict[str, Any] = {}
+    left = max(_MOST_UNPACKED * len(raw), _SMALL)
     data, at = memoryview(raw)[_HEADER:], 0
     while at + 8 <= len(data):
         kind, body, at = _element(data, at, order)
         if kind == _COMPRESSED:
             inflate = zlib.decompressobj()
-            whole = memoryview(inflate.decompress(body, _LARGEST))
+            whole = memoryview(inflate.decompress(body, max(left, 1)))
+            left -= len(whole)
+            if inflate.unconsumed_tail and left <= 0:
+                raise ValueError(
+                    f"variables that unpack to more than {_MOST_UNPACKED} times the file: save with -v6"
+                )
             if inflate.unconsumed_tail or not inflate.eof:
                 raise ValueError("a variable that does not decompress")
             kind, body, _ = _element(whole, 0, order)

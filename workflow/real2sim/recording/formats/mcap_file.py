@@ -18,12 +18,15 @@ from typing import Any, BinaryIO, Protocol
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.recordings import Finding
+from real2sim.recording.formats.ros2_definition import parse_definition, stripped_text
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
 _STATISTICS, _DATA_END = 11, 15
 _LARGEST = 1 << 28  # bytes of one record or chunk; rosbag2 writes chunks of 1 MB
 _PIECE = 1 << 20
+# Chunks may unpack to so many times the file's size, or so many bytes if that is more: logs of robots reach 7 times
+_MOST_UNPACKED, _SMALL = 20, 1 << 23
 _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it out"
 _RECOVER = "copy it again, or repair it with `mcap recover` and check what is left"
 
@@ -110,6 +113,7 @@ class _Section:
         self.schemas: dict[int, tuple[str, str, bytes]] = {}
         self.crc = 0
         self.last = -1
+        self.unpacked = 0
 
     def messages(self) -> Iterator[RawMessage]:
         self.stream.seek(0)
@@ -204,6 +208,10 @@ class _Section:
             raise ValueError("a chunk shorter than it says")
         if size > _LARGEST:
             self._refuse(at, f"a chunk of {size} bytes", "too_large")
+        self.unpacked += size
+        if self.unpacked > max(_MOST_UNPACKED * self.size, _SMALL):
+            found = f"chunks of more than {self.unpacked} bytes in a file of {self.size}"
+            self._refuse(at, found, "too_large", "if the log is sound, unpack it: `mcap decompress`")
         records = self._decompressed(at, compression, data, size)
         if crc and zlib.crc32(records) != crc:
             self._refuse(at, "a chunk whose checksum is wrong", "checksum", _RECOVER)
@@ -338,14 +346,14 @@ def decoder(channel: Channel) -> Callable[[bytes], Any]:
         raise Undecodable(f"its definition cannot be read: {error}"[:200], "schema") from error
 
 
-def _schema_record(channel: Channel) -> Any:
+def _schema_record(channel: Channel, data: bytes) -> Any:
     from mcap.records import Schema
 
     return Schema(
         id=channel.schema_id or 1,
         name=channel.schema_name,
         encoding=channel.schema_encoding,
-        data=channel.schema_data,
+        data=data,
     )
 
 
@@ -357,26 +365,24 @@ def _json(payload: bytes) -> Any:
 
 
 def _cdr(channel: Channel) -> Callable[[bytes], Any]:
-    from mcap_ros2._dynamic import serialize_dynamic  # its one public way in opens a file of its own
     from mcap_ros2.decoder import DecoderFactory
 
-    decode = DecoderFactory().decoder_for("cdr", _schema_record(channel))
-    encode = serialize_dynamic(channel.schema_name, channel.schema_data.decode())[channel.schema_name]
+    definition = parse_definition(channel.schema_name, channel.schema_data.decode())
+    # without the names of constants, over which the parser's pattern can take for ever
+    text = stripped_text(definition).encode()
+    decode = DecoderFactory().decoder_for("cdr", _schema_record(channel, text))
     assert decode is not None
 
     def exactly(payload: bytes) -> Any:
         if payload[:2] != b"\x00\x01":
             raise Undecodable("not little-endian CDR")
         try:
+            size = definition.end(payload)
             message = decode(payload)
         except Exception as error:
             raise Undecodable(f"not a {channel.schema_name}: {error}"[:200]) from error
-        try:
-            size = len(encode(message))
-        except ValueError:  # it cannot write arrays with default values, which it reads
-            return message
-        # The end may be filled up to a multiple of four, and an empty message has one byte.
-        if not size <= len(payload) <= size + 3:
+        # The end may be filled up to a multiple of four.
+        if len(payload) > size + 3:
             raise Undecodable(f"{len(payload)} bytes where a {channel.schema_name} takes {size}")
         return message
 
@@ -386,7 +392,7 @@ def _cdr(channel: Channel) -> Callable[[bytes], Any]:
 def _protobuf(channel: Channel) -> Callable[[bytes], Any]:
     from mcap_protobuf.decoder import DecoderFactory
 
-    decode = DecoderFactory().decoder_for("protobuf", _schema_record(channel))
+    decode = DecoderFactory().decoder_for("protobuf", _schema_record(channel, channel.schema_data))
     assert decode is not None
 
     def known(payload: bytes) -> Any:

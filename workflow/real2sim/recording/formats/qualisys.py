@@ -69,6 +69,7 @@ _KEY = re.compile(r"[A-Z][A-Z0-9_]+")
 _RATE_TOLERANCE = 0.005  # Time has 5 decimals: at 300 Hz one step rounds by 0.15 %
 _LEADING = {"frame": "frame", "sample": "frame", "time": "time"}
 _ORTHONORMAL = 1e-3  # Rot has 5 decimals
+_MOST_LEFT_OUT = 4  # times as many frames as rows, from which on the numbers are taken for wrong
 _BODY_CELLS = 16  # X Y Z, three angles, Residual, Rot[0..8]
 _AGAIN = "export the trial again"
 
@@ -130,7 +131,10 @@ def _header(
         if key == "EVENT":
             events.extend(_event(path, at, cells, findings))
         elif key:
-            header[key] = [cell.strip() for cell in cells[1:]]
+            values = [cell.strip() for cell in cells[1:]] or [""]
+            if key in header:
+                _check_repeated(path, at, key, stripped(header[key]), stripped(values), findings)
+            header[key] = values
         at += 1
     names = "MARKER_NAMES" if kind == "3D" else "BODY_NAMES"
     included = " ".join(stripped(header.get("DATA_INCLUDED", [""])))
@@ -141,6 +145,20 @@ def _header(
         expected = "the header of a QTM TSV export"
         raise InputError(path, "", f"no {names} line ({found})", expected, _EXPORT_3D, "header")
     return header, events, at
+
+
+def _check_repeated(
+    path: Path, at: int, key: str, first: list[str], again: list[str], findings: list[Finding]
+) -> None:
+    """Report a header key that stands twice; refuse it where its two values differ."""
+    if first != again:
+        found = f"{key} twice: {' '.join(first)[:60]!r}, then {' '.join(again)[:60]!r}"
+        remedy = "export the trial again, or remove the line that is wrong"
+        raise InputError(path, f"line {at + 1}", found, "each key once", remedy, "header_repeated")
+    message = f"{key} twice with the same value"
+    findings.append(
+        finding("header_repeated", "warning", path, f"line {at + 1}", message, "the value is used")
+    )
 
 
 def _event(path: Path, at: int, cells: list[str], findings: list[Finding]) -> list[Event]:
@@ -208,8 +226,8 @@ def _column_row(path: Path, lines: list[str], at: int, markers: list[str]) -> tu
     if names != expected:
         wrong = next((i for i, (a, b) in enumerate(zip(names, expected, strict=False)) if a != b), len(names))
         wrong = min(wrong, len(expected))
-        found = names[wrong] if wrong < len(names) else f"only {len(names)} coordinate columns"
-        wanted = expected[wrong] if wrong < len(expected) else f"{len(expected)} coordinate columns"
+        found = repr(names[wrong]) if wrong < len(names) else f"only {len(names)} coordinate columns"
+        wanted = repr(expected[wrong]) if wrong < len(expected) else f"no more than {len(expected)} columns"
         place = f"line {at + 1}, column {len(leading) + wrong + 1}"
         raise InputError(path, place, found, f"{wanted} (order of MARKER_NAMES)", _AGAIN, "columns")
     return leading, at + 1
@@ -310,7 +328,7 @@ def _fill_frames(
     total = int(frames[-1] - frames[0]) + 1
     if total == len(frames):
         return time_s, positions
-    if total > 100 * len(frames):
+    if total > _MOST_LEFT_OUT * len(frames):
         found = f"{len(frames)} frames numbered {frames[0]} to {frames[-1]}"
         expected = "consecutive frame numbers"
         raise InputError(path, "column Frame", found, expected, _AGAIN, "frame_number")

@@ -93,7 +93,8 @@ def read_table(
     for i, count in zip(rows, counts, strict=True):
         if count != usual or count < width:
             found = f"{count} cells" + (f", {usual} in most rows" if count != usual else "")
-            raise InputError(path, f"line {i + 1}", found, f"{width} cells ({expected})", _AGAIN, "row_cells")
+            wanted = f"{usual} cells as in most rows" if count == width else f"{width} cells ({expected})"
+            raise InputError(path, f"line {i + 1}", found, wanted, _AGAIN, "row_cells")
     table = _fast(lines, rows, usual, blank) if tabs and len(rows) * usual > _LARGE else None
     if table is None:
         table = np.array(

@@ -124,5 +124,5 @@ def _scale(path: Path, header: dict[str, str]) -> float:
     if unit.lower() not in UNITS_PER_M:
         expected = ", ".join(UNITS_PER_M)
         remedy = "write the unit into line 3"
-        raise InputError(path, "Units", unit or "nothing", expected, remedy, "units")
+        raise InputError(path, "Units", repr(unit) if unit else "nothing", expected, remedy, "units")
     return UNITS_PER_M[unit.lower()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 import sys
 import time
 from collections.abc import Callable
@@ -15,8 +14,13 @@ import mujoco
 import numpy as np
 
 from real2sim.artefacts import write_json
-from real2sim.files import replacing
 from real2sim.provenance import fingerprint, provenance, sha256
+from real2sim.study.twin.checkpoint import (
+    UnusableCheckpoint,
+    check_shapes,
+    read_checkpoint,
+    write_checkpoint,
+)
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
 from real2sim.study.twin.evaluate import (
     PUSH_DIRECTIONS,
@@ -214,62 +218,108 @@ class Trainer:
 
     # -------------------- going on after an interruption
 
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays that change from iteration to iteration, by name: the arrays themselves, not copies."""
+        learner, env = self.learner, self.env
+        lists = {
+            "actor": flat(learner.actor),
+            "mean_actor": self._mean_actor,
+            "critic": flat(learner.critic),
+            "actor_moments": [m for pair in learner.actor_adam.moments for m in pair],
+            "critic_moments": [m for pair in learner.critic_adam.moments for m in pair],
+        }
+        named = {f"{name}_{i}": array for name, arrays in lists.items() for i, array in enumerate(arrays)}
+        own = {
+            "log_std": learner.log_std,
+            "normaliser_mean": self.normaliser.mean,
+            "normaliser_variance": self.normaliser.variance,
+            "simulations": env.batch.state,
+            "phase": env.phase,
+            "age": env.age,
+            "lane_y": env.lane_y,
+            "last_action": env._last,
+            "push_left": env._push_left,
+            "push_next": env._push_next,
+            "impulse": env.impulse,
+        }
+        return named | own | ({} if env.stops is None else {"stops_robot": env.stops.robot})
+
+    def _numbers(self) -> dict[str, Any]:
+        """Return all else that changes from iteration to iteration, as JSON holds it."""
+        adams = (self.learner.actor_adam, self.learner.critic_adam)
+        return {
+            "adam": [[adam.steps, adam.rate] for adam in adams],
+            "normaliser_count": self.normaliser.count,
+            "random": [rng.bit_generator.state for rng in (self.learner.rng, self.env.rng)],
+            "push_force": self.env.push_force,
+            "counters": [self.iteration, self.steps, self.passes],
+            "lengths": list(self._lengths),
+            "evaluations": self.evaluations,
+            "curve": self.curve,
+            "best": None if self.best is None else list(self.best[:2]),
+        }
+
     def save(self, path: Path, key: str) -> None:
         """Write a checkpoint; ``key`` names what the training rests on."""
-        env = self.env
-        state = {
-            "key": key,
-            "actor": flat(self.learner.actor),
-            "mean_actor": self._mean_actor,
-            "critic": flat(self.learner.critic),
-            "log_std": self.learner.log_std,
-            "adam": [
-                (a.moments, a.steps, a.rate) for a in (self.learner.actor_adam, self.learner.critic_adam)
-            ],
-            "normaliser": (self.normaliser.mean, self.normaliser.variance, self.normaliser.count),
-            "random": (self.learner.rng.bit_generator.state, env.rng.bit_generator.state),
-            "env": (
-                env.batch.state.copy(),
-                *(x.copy() for x in (env.phase, env.age, env.lane_y, env._last)),
-                env._push_left.copy(),
-                env._push_next.copy(),
-                env.push_force,
-                env.impulse.copy(),
-                None if env.stops is None else env.stops.robot.copy(),
-            ),
-            "counters": (self.iteration, self.steps, self.passes, list(self._lengths)),
-            "records": (self.evaluations, self.curve, self.best),
-        }
-        with replacing(path) as temporary:
-            temporary.write_bytes(pickle.dumps(state))
+        best = {} if self.best is None else _policy_arrays(self.best[2])
+        write_checkpoint(path, self._arrays() | best, {"key": key} | self._numbers())
 
-    def load(self, path: Path, key: str) -> bool:
-        """Go on from a checkpoint of the same ``key``; False where there is none."""
+    def load(
+        self, path: Path, key: str, report: Callable[[str], None] = lambda text: print(text, file=sys.stderr)
+    ) -> bool:
+        """Continue from a checkpoint of the same ``key``; return False where there is none that can be used.
+
+        A file that cannot be used is reported in one line and leaves the training as it is.
+        """
         try:
-            state = pickle.loads(path.read_bytes())
-        except (OSError, pickle.UnpicklingError, EOFError):
+            arrays, about = read_checkpoint(path)
+            if about.get("key") != key:
+                raise UnusableCheckpoint("of other settings, another person or another version")
+            check_shapes(arrays, self._arrays())
+            best = self._best_of(arrays, about)
+            resumed = {name: about[name] for name in self._numbers()}
+            (iteration, steps, passes), adams, (own, of_env) = (
+                resumed[name] for name in ("counters", "adam", "random")
+            )
+            for state in (own, of_env):
+                np.random.PCG64().state = state
+        except FileNotFoundError:
             return False
-        if state.get("key") != key:
+        except (UnusableCheckpoint, KeyError, TypeError, ValueError) as error:
+            reason = str(error) if isinstance(error, UnusableCheckpoint) else f"incomplete ({error!r})"
+            report(f"{path} is not used: {reason}. The training starts from the beginning.")
             return False
+        for name, array in self._arrays().items():
+            array[...] = arrays[name]
         learner, env = self.learner, self.env
-        learner.actor, learner.critic = layers_of(state["actor"]), layers_of(state["critic"])
-        self._mean_actor = state["mean_actor"]
-        learner.log_std = state["log_std"]
-        learner.__post_init__()
-        for adam, (moments, steps, rate) in zip(
-            (learner.actor_adam, learner.critic_adam), state["adam"], strict=True
-        ):
-            adam.moments, adam.steps, adam.rate = moments, steps, rate
-        self.normaliser = Normaliser(*state["normaliser"])
-        learner.rng.bit_generator.state, env.rng.bit_generator.state = state["random"]
-        batch_state, env.phase, env.age, env.lane_y, env._last, *pushes, robot = state["env"]
-        env.batch.state[:] = batch_state
-        env._push_left, env._push_next, env.push_force, env.impulse = pushes
-        if env.stops is not None:
-            env.stops.robot = robot
-        self.iteration, self.steps, self.passes, self._lengths = state["counters"]
-        self.evaluations, self.curve, self.best = state["records"]
+        learner.rng.bit_generator.state, env.rng.bit_generator.state = own, of_env
+        for adam, (count, rate) in zip((learner.actor_adam, learner.critic_adam), adams, strict=True):
+            adam.steps, adam.rate = count, rate
+        self.normaliser.count, env.push_force = resumed["normaliser_count"], resumed["push_force"]
+        self.iteration, self.steps, self.passes, self.best = iteration, steps, passes, best
+        self._lengths, self.evaluations, self.curve = (
+            resumed[name] for name in ("lengths", "evaluations", "curve")
+        )
         return True
+
+    def _best_of(
+        self, arrays: dict[str, np.ndarray], about: dict[str, Any]
+    ) -> tuple[int, int, Policy] | None:
+        """Return bars met, steps and policy of the best examination that a checkpoint holds, None without one."""
+        if about["best"] is None:
+            return None
+        check_shapes(arrays, _policy_arrays(self.policy()))
+        met, steps = about["best"]
+        count = len(self._mean_actor)
+        actor = layers_of([arrays[f"best_actor_{i}"] for i in range(count)])
+        own = arrays["best_mean"], arrays["best_variance"]
+        return met, steps, Policy(actor, *own, self.reference, self.who)
+
+
+def _policy_arrays(policy: Policy) -> dict[str, np.ndarray]:
+    """Return what a policy has learnt, by the names of a checkpoint."""
+    actor = {f"best_actor_{i}": array for i, array in enumerate(flat(policy.actor))}
+    return actor | {"best_mean": policy.mean, "best_variance": policy.variance}
 
 
 def train(
@@ -285,7 +335,7 @@ def train(
     """
     o = trainer.options
     start, spent = time.monotonic(), time.process_time()
-    if checkpoint is not None and trainer.load(checkpoint, key):
+    if checkpoint is not None and trainer.load(checkpoint, key, progress):
         progress(f"going on from {trainer.steps} steps")
     reported = -np.inf
     while True:

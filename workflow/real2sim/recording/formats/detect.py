@@ -65,7 +65,7 @@ def _by_content(head: bytes) -> str | None:
         return "trc"
     if any(line.startswith(_QTM_KEYS) for line in lines[:50]):
         return "tsv"
-    lowered = [line.strip().lower() for line in lines[:1000]]
+    lowered = [line.strip(b", \t").lower() for line in lines[:1000]]
     if b"endheader" in lowered or any(line.startswith(b"time") for line in lowered):
         return "storage"
     return None

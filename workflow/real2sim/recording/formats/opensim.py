@@ -16,7 +16,14 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, StorageRecording
-from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
+from real2sim.recording.formats.text import (
+    cells_of,
+    divide_by_tabs,
+    increasing,
+    read_lines,
+    read_table,
+    stripped,
+)
 
 PELVIS_COORDINATES = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
 _TRANSLATION = re.compile(r"_t[xyz]$")
@@ -60,6 +67,7 @@ _AGAIN = "the file may be cut off: export it again"
 _WHAT = "an OpenSim .mot or .sto"
 _FORCES = re.compile(r"force|moment|torque", re.IGNORECASE)
 _STATE = re.compile(r"^/.*/([^/]+)/value$")
+_MUSCLE_STATE = re.compile(r"\.[A-Za-z_]+$")  # soleus_r.activation, as states files of OpenSim 3 have it
 _SIMM = re.compile(r"(datacolumns|datarows|otherdata|name|range|indegrees)\s+(\S.*)", re.IGNORECASE)
 _IMPOSSIBLE_RAD = 4 * np.pi  # no joint, and no person turning on the spot in a trial, gets there
 _ELEMENTS = {"double": 1, "float": 1, "vec3": 3, "unitvec3": 3, "quaternion": 4, "vec6": 6, "spatialvec": 6}
@@ -91,8 +99,8 @@ def read_storage(path: Path) -> StorageRecording:
     Raises InputError, with the line, where a row does not have the cells that the names say.
     """
     path = Path(path)
-    lines = read_lines(path, _WHAT, _EXPORT_MOT)
     findings: list[Finding] = []
+    lines = divide_by_tabs(path, read_lines(path, _WHAT, _EXPORT_MOT), "time", findings)
     at = _names_line(path, lines, findings)
     head = lines[:at]
     header = _keys(head)
@@ -102,6 +110,7 @@ def read_storage(path: Path) -> StorageRecording:
     rows = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
     table = _table(path, lines, rows, len(names), time_column, elements)
     _check_counts(path, header, len(rows), len(names), findings)
+    table = _without_repeated_end(path, table, time_column, rows, findings)
     time_s = table[:, time_column, 0].copy()
     increasing(path, time_s, "time", rows, time_column)
     columns = {name: table[:, i].copy() for i, name in enumerate(names) if i != time_column}
@@ -190,6 +199,20 @@ def _table(
     return out
 
 
+def _without_repeated_end(
+    path: Path, table: np.ndarray, time_column: int, rows: list[int], findings: list[Finding]
+) -> np.ndarray:
+    """Return the table without a last row that repeats the time of the row before, as RRA, CMC and forward write it."""
+    time_s = table[:, time_column, 0]
+    if len(time_s) < 3 or time_s[-1] != time_s[-2]:
+        return table
+    same = np.array_equal(table[-1], table[-2], equal_nan=True)
+    message = f"time {time_s[-1]:g} in the last two rows, " + ("the same values" if same else "other values")
+    severity, place = "info" if same else "warning", f"line {rows[-1] + 1}"
+    findings.append(Finding("time_repeated", severity, path.name, place, message, "the last row is left out"))
+    return table[:-1]
+
+
 def _check_counts(
     path: Path, header: dict[str, str], rows: int, columns: int, findings: list[Finding]
 ) -> None:
@@ -206,17 +229,13 @@ def _coordinates(path: Path, storage: StorageRecording, findings: list[Finding])
     if elements != 1:
         found = f"DataType={storage.header['datatype']}"
         raise InputError(path, "DataType", found, "coordinates (double)", _EXPORT_MOT, "wrong_kind")
-    if any(_FORCES.search(name) for name in names) and not any(
-        name.endswith("pelvis_tilt") for name in names
-    ):
-        found, expected = f"forces ({names[0]}, ...)", "coordinates (pelvis_tilt, ...)"
-        raise InputError(path, "", found, expected, _EXPORT_MOT, "wrong_kind")
+    _check_quantity(path, storage)
     columns: dict[str, np.ndarray] = {}
     others = 0
     for name, values in storage.columns.items():
         state = _STATE.match(name)
         speed = name.endswith("_u") and name.removesuffix("_u") in storage.columns
-        if speed or (name.startswith("/") and not state):
+        if speed or (name.startswith("/") and not state) or _MUSCLE_STATE.search(name):
             others += 1
             continue
         own = state[1] if state else name
@@ -227,7 +246,24 @@ def _coordinates(path: Path, storage: StorageRecording, findings: list[Finding])
     if others:
         message = f"{others} columns of speeds or other states"
         findings.append(Finding("other_states", "info", path.name, "", message, "left out"))
+    if not columns:
+        found, expected = f"states without a coordinate ({names[0]}, ...)", "coordinates (pelvis_tilt, ...)"
+        raise InputError(path, "", found, expected, _EXPORT_MOT, "wrong_kind")
     return columns
+
+
+def _check_quantity(path: Path, storage: StorageRecording) -> None:
+    """Refuse tables of forces, speeds or accelerations; states may lie beside coordinates (``/forceset/...``)."""
+    title = storage.header_lines[0].strip().lower() if storage.header_lines else ""
+    plain = [name for name in storage.columns if not name.startswith("/")]
+    forces = any(_FORCES.search(name) for name in plain)
+    if forces and not any(name.endswith("pelvis_tilt") for name in plain):
+        found = f"forces ({plain[0]}, ...)"
+    elif title in ("speeds", "accelerations"):
+        found = f"{title} ({storage.header_lines[0].strip()!r} in line 1)"
+    else:
+        return
+    raise InputError(path, "", found, "coordinates (pelvis_tilt, ...)", _EXPORT_MOT, "wrong_kind")
 
 
 def _in_degrees(

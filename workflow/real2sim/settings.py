@@ -44,10 +44,20 @@ IngestMarkerlessSettings = TypedDict(
     },
 )
 
+IngestRobotLogStampsSettings = TypedDict(
+    "IngestRobotLogStampsSettings",
+    {
+        "same_clock_s": float,
+        "usable_share": float,
+        "delay_warn_s": float,
+    },
+)
+
 IngestRobotLogSettings = TypedDict(
     "IngestRobotLogSettings",
     {
         "min_correlation": float,
+        "stamps": IngestRobotLogStampsSettings,
     },
 )
 

@@ -468,9 +468,10 @@ def _robot(
     if trial.log is None:
         trial.note("no_robot_log", "info", trial.tsv, "", "no robot log", "robot columns empty")
         return {name: np.full(len(clock), np.nan) for name in names}, None, {"status": "no robot log"}
-    log = read_log(trial.log)
+    log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
     trial.findings.extend(log.findings)
     offset, report = _synchronise_log(trial, clock, positions, log)
+    report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
     gap = trial.settings["max_gap_s"]
     base_time, base = _unique(trial, log.base_time_s, np.column_stack(list(log.base.values())), "/odom")
     joints = np.column_stack([log.joints[j] for j in ARM_JOINTS])[:, [0, 2, 4, 1, 3, 5]]
@@ -491,6 +492,24 @@ def _robot(
         columns |= dict(zip(WRENCH, signals.resample(wrench_time, wrench, other, gap).T, strict=True))
     up = _arm_up(trial, columns, positions, report)
     return columns, up, report
+
+
+def _stamp_delays(trial: _Trial, path: Path, log: RobotLog) -> dict[str, dict[str, float]]:
+    """Median and spread [s] of the delay from stamp to log time by topic; warn where one is large."""
+    limit = trial.settings["robot_log"]["stamps"]["delay_warn_s"]
+    for topic, delay in log.delays.items():
+        median = delay.beyond_clock_s if delay.other_clock else delay.median_s
+        if max(abs(median), delay.spread_s) > limit:
+            against = "the first topic of its clock" if delay.other_clock else "its stamps"
+            message = (
+                f"logged {1e3 * median:.1f} ms after {against} (median), spread {1e3 * delay.spread_s:.1f} ms"
+            )
+            action = "stamps are used; /sync has none, its time is the log's"
+            trial.note("stamp_delay", "warning", path, topic, message, action)
+    return {
+        topic: {"median": delay.median_s, "beyond_clock": delay.beyond_clock_s, "spread": delay.spread_s}
+        for topic, delay in log.delays.items()
+    }
 
 
 def _unique(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from real2sim.errors import InputError
 from real2sim.recording.formats import c3d, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestRobotLogStampsSettings
 
 # By format: what it is called, its extensions, and what reads it.
 FORMATS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -107,12 +110,15 @@ def read_markerless(path: Path) -> CoordinateRecording | MarkerRecording:
     return recording
 
 
-def read_log(path: Path) -> RobotLog:
-    """Read a robot log. Raises InputError where the file is no MCAP or lacks the robot's topics."""
+def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
+    """Read a robot log; ``stamps`` is the slice ``ingest.robot_log.stamps``, by default that of an empty configuration.
+
+    Raises InputError where the file is no MCAP or lacks the robot's topics.
+    """
     path = Path(path)
     findings: list[Finding] = []
     _detected(path, ("mcap",), "a robot log", findings)
-    log = robot_log.read_log(path)
+    log = robot_log.read_log(path, stamps)
     log.findings[:0] = findings
     return log
 

@@ -15,7 +15,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.provenance import sha256
-from real2sim.recording import alignment
+from real2sim.recording import alignment, units
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translation
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
@@ -315,10 +315,15 @@ def _joints(
     trial: _Trial, clock: np.ndarray, r_pelvis: np.ndarray, p_pelvis: np.ndarray, marker_names: dict[str, str]
 ) -> tuple[Columns, dict[str, Any]]:
     """Coordinates, or landmarks, on the Qualisys clock, and how time and space were laid on each other."""
-    recording = read_markerless(trial.mot)
+    named = trial.settings["markerless"]
+    recording = read_markerless(trial.mot, translations=named["translations"], rotations=named["rotations"])
     trial.findings.extend(recording.findings)
     if isinstance(recording, CoordinateRecording):
+        units.check_kinds(trial.mot, recording)
+        units.check_angles(trial.mot, recording, trial.settings["units"])
         kind, columns, pelvis = "coordinates", recording.columns, _coordinate_pelvis(trial, recording)
+        ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
+        units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     else:
         kind = "landmarks"
         columns, pelvis = _landmarks(trial, recording, marker_names)
@@ -327,7 +332,6 @@ def _joints(
     table = np.column_stack(list(columns.values()))
     gap = trial.settings["max_gap_s"]
     values = signals.resample(recording.time_s, table, time_fit.other_time(clock), gap)
-    units = {name: "m" if kind == "landmarks" or is_translation(name) else "rad" for name in columns}
     report = {
         "kind": kind,
         "offset_s": time_fit.offset_s,
@@ -348,8 +352,14 @@ def _joints(
         "to": "world",
         "covered": float(np.isfinite(values[:, 0]).mean()),
     }
-    named = zip(columns, values.T, strict=True)
-    return {name: (column, units[name], "opensim") for name, column in named}, report
+    lengths = (
+        {*columns} if kind == "landmarks" else {*filter(is_translation, columns), *named["translations"]}
+    )
+    lengths -= {*named["rotations"]} if kind == "coordinates" else set()
+    return {
+        name: (column, "m" if name in lengths else "rad", "opensim")
+        for name, column in zip(columns, values.T, strict=True)
+    }, report
 
 
 def _coordinate_pelvis(trial: _Trial, recording: CoordinateRecording) -> alignment.PelvisPath:

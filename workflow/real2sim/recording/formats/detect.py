@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,13 +100,21 @@ def read_markers(path: Path) -> MarkerRecording:
     return recording
 
 
-def read_markerless(path: Path) -> CoordinateRecording | MarkerRecording:
-    """Read a markerless export: coordinates (.mot, .sto) or landmarks (.trc). Raises InputError otherwise."""
+def read_markerless(
+    path: Path, *, translations: Collection[str] = (), rotations: Collection[str] = ()
+) -> CoordinateRecording | MarkerRecording:
+    """Read a markerless export: coordinates (.mot, .sto) or landmarks (.trc). Raises InputError otherwise.
+
+    ``translations`` and ``rotations`` name coordinates whose names do not tell what they are.
+    """
     path = Path(path)
     findings: list[Finding] = []
     kind = _detected(path, ("storage", "trc"), "coordinates or landmarks", findings)
     recording: CoordinateRecording | MarkerRecording
-    recording = opensim.read_coordinates(path) if kind == "storage" else trc.read_landmarks(path)
+    if kind == "storage":
+        recording = opensim.read_coordinates(path, translations=translations, rotations=rotations)
+    else:
+        recording = trc.read_landmarks(path)
     recording.findings[:0] = findings
     return recording
 

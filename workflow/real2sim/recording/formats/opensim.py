@@ -9,6 +9,7 @@ https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089996
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,24 @@ from real2sim.recording.formats.text import (
 )
 
 PELVIS_COORDINATES = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
-_TRANSLATION = re.compile(r"_t[xyz]$")
+_TRANSLATION = re.compile(r"(^|_)t[xyz](_|$)")
+# Words by which OpenSim's models name rotations: Rajagopal, gait2392, gait10dof, MoBL, full-body spines
+_ROTATION = re.compile(
+    r"(^|_)(tilt|list|rot|rotation|flex|flexion|ext|extension|add|adduction|abd|abduction|angle|bend|bending|inversion"
+    r"|eversion|pro|sup|pronation|supination|dev|deviation|elv|elevation|prot|protraction|retraction|obliquity|yaw"
+    r"|pitch|roll|fe|lb|ar|beta)(_|$)",
+    re.IGNORECASE,
+)
 
 
 def is_translation(name: str) -> bool:
-    """Whether a coordinate is a translation [m] by OpenSim's naming (``pelvis_tx``), else a rotation."""
+    """Return whether a coordinate is a translation [m] by OpenSim's naming (``pelvis_tx``, ``knee_tx_r``)."""
     return bool(_TRANSLATION.search(name))
+
+
+def is_rotation(name: str) -> bool:
+    """Return whether a coordinate is a rotation by the words of OpenSim's models (``hip_flexion_r``)."""
+    return not is_translation(name) and bool(_ROTATION.search(name))
 
 
 def write_coordinates(path: Path, recording: CoordinateRecording, *, name: str = "Coordinates") -> None:
@@ -73,11 +86,14 @@ _IMPOSSIBLE_RAD = 4 * np.pi  # no joint, and no person turning on the spot in a 
 _ELEMENTS = {"double": 1, "float": 1, "vec3": 3, "unitvec3": 3, "quaternion": 4, "vec6": 6, "spatialvec": 6}
 
 
-def read_coordinates(path: Path) -> CoordinateRecording:
+def read_coordinates(
+    path: Path, *, translations: Collection[str] = (), rotations: Collection[str] = ()
+) -> CoordinateRecording:
     """Read an OpenSim .mot or .sto of coordinates, on its own clock; rotations [rad], translations [m].
 
-    Counts declared in the header are checked, never trusted. Raises InputError, with the line, where the file
-    holds no coordinates, or leaves open whether its angles are degrees or radians.
+    ``translations`` and ``rotations`` name coordinates whose names do not tell what they are. Counts declared in the
+    header are checked, never trusted. Raises InputError, with the line, where the file holds no coordinates, or
+    leaves open whether its angles are degrees or radians.
     """
     path = Path(path)
     storage = read_storage(path)
@@ -86,11 +102,22 @@ def read_coordinates(path: Path) -> CoordinateRecording:
         found = "column names and no data"
         raise InputError(path, "", found, "one row per time", _EXPORT_MOT, "no_data")
     columns = _coordinates(path, storage, findings)
-    in_degrees = _in_degrees(path, storage, columns, findings)
+    lengths = {
+        name for name in columns if (is_translation(name) or name in translations) and name not in rotations
+    }
+    unknown = [n for n in columns if n not in lengths and n not in rotations and not is_rotation(n)]
+    angles = {name: values for name, values in columns.items() if name not in lengths}
+    in_degrees = _in_degrees(path, storage, angles, findings)
     if in_degrees:
-        columns = {k: v if is_translation(k) else np.radians(v) for k, v in columns.items()}
+        columns |= {name: np.radians(values) for name, values in angles.items()}
+    if unknown:
+        message = f"{', '.join(unknown)}: rotations or translations? Their names do not tell"
+        severity, action = "info", "nothing is converted"
+        if in_degrees:
+            severity, action = "warning", "taken as rotations in degrees"
+        findings.append(Finding("coordinate_kind", severity, path.name, "", message, action))
     _check_knee(path, columns, findings)
-    return CoordinateRecording(storage.time_s, columns, findings)
+    return CoordinateRecording(storage.time_s, columns, findings, in_degrees, unknown)
 
 
 def read_storage(path: Path) -> StorageRecording:
@@ -267,13 +294,14 @@ def _check_quantity(path: Path, storage: StorageRecording) -> None:
 
 
 def _in_degrees(
-    path: Path, storage: StorageRecording, columns: dict[str, np.ndarray], findings: list[Finding]
+    path: Path, storage: StorageRecording, angles: dict[str, np.ndarray], findings: list[Finding]
 ) -> bool:
+    """Return whether the rotations are in degrees by the header, and check radians against what they can be."""
     stated = storage.header.get("indegrees", "").lower()
     written = any(line.strip().lower().startswith("angles are in degrees") for line in storage.header_lines)
     if stated[:1] in ("y", "t", "1") or (not stated and written):
         return True
-    rotations = [v for k, v in columns.items() if not is_translation(k)]
+    rotations = list(angles.values())
     largest = float(np.nanmax(np.abs(rotations))) if rotations and np.isfinite(rotations).any() else 0.0
     if not stated:
         if largest > _IMPOSSIBLE_RAD:

@@ -83,11 +83,17 @@ class StorageRecording:
 
 @dataclass
 class CoordinateRecording:
-    """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m]."""
+    """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m].
+
+    ``in_degrees`` says that the file has degrees; ``unknown`` are the columns whose name does not tell whether they
+    are rotations, which they are taken for, or translations.
+    """
 
     time_s: np.ndarray
     columns: dict[str, np.ndarray]
     findings: list[Finding] = field(default_factory=list)
+    in_degrees: bool = False
+    unknown: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

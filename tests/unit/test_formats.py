@@ -438,11 +438,11 @@ def test_payloads_that_are_not_what_they_say_are_refused(tmp_path, case, message
     assert message in str(error.value)
 
 
-def test_messages_out_of_order_are_ordered_by_log_time(tmp_path):
+def test_messages_out_of_order_and_without_stamps_are_ordered_by_log_time(tmp_path):
     from real2sim.recording.formats import robot_log as module
 
     given = robot_log(n=5)
-    payloads = module._messages(given)["/odom"][1]
+    payloads = [payload[:4] + bytes(8) + payload[12:] for payload in module._messages(given)["/odom"][1]]
     times = [4, 0, 3, 1, 2]
     text = module._schema_text(module.ODOMETRY)
     write_messages(tmp_path / "a.mcap", "/odom", module.ODOMETRY, text, payloads, times=times)

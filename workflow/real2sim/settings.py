@@ -20,10 +20,21 @@ PathsSettings = TypedDict(
     },
 )
 
+IngestUnitsPelvisAnglesSettings = TypedDict(
+    "IngestUnitsPelvisAnglesSettings",
+    {
+        "moved_deg": float,
+        "ratio": float,
+        "travel_ratio": float,
+    },
+)
+
 IngestUnitsSettings = TypedDict(
     "IngestUnitsSettings",
     {
         "marker_extent_m": list[float],
+        "largest_angle_deg": float,
+        "pelvis_angles": IngestUnitsPelvisAnglesSettings,
     },
 )
 
@@ -41,6 +52,17 @@ IngestMarkerlessSettings = TypedDict(
         "min_correlation": float,
         "drift_report_ms_per_min": float,
         "drift_certainty_sd": float,
+        "translations": list[str],
+        "rotations": list[str],
+    },
+)
+
+IngestRobotLogStampsSettings = TypedDict(
+    "IngestRobotLogStampsSettings",
+    {
+        "same_clock_s": float,
+        "usable_share": float,
+        "delay_warn_s": float,
     },
 )
 
@@ -48,6 +70,7 @@ IngestRobotLogSettings = TypedDict(
     "IngestRobotLogSettings",
     {
         "min_correlation": float,
+        "stamps": IngestRobotLogStampsSettings,
     },
 )
 

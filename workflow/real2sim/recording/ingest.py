@@ -15,7 +15,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.provenance import sha256
-from real2sim.recording import alignment
+from real2sim.recording import alignment, units
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translation
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
@@ -319,10 +319,15 @@ def _joints(
     trial: _Trial, clock: np.ndarray, r_pelvis: np.ndarray, p_pelvis: np.ndarray, marker_names: dict[str, str]
 ) -> tuple[Columns, dict[str, Any]]:
     """Coordinates, or landmarks, on the Qualisys clock, and how time and space were laid on each other."""
-    recording = read_markerless(trial.mot)
+    named = trial.settings["markerless"]
+    recording = read_markerless(trial.mot, translations=named["translations"], rotations=named["rotations"])
     trial.findings.extend(recording.findings)
     if isinstance(recording, CoordinateRecording):
+        units.check_kinds(trial.mot, recording)
+        units.check_angles(trial.mot, recording, trial.settings["units"])
         kind, columns, pelvis = "coordinates", recording.columns, _coordinate_pelvis(trial, recording)
+        ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
+        units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     else:
         kind = "landmarks"
         columns, pelvis = _landmarks(trial, recording, marker_names)
@@ -331,7 +336,6 @@ def _joints(
     table = np.column_stack(list(columns.values()))
     gap = trial.settings["max_gap_s"]
     values = signals.resample(recording.time_s, table, time_fit.other_time(clock), gap)
-    units = {name: "m" if kind == "landmarks" or is_translation(name) else "rad" for name in columns}
     report = {
         "kind": kind,
         "offset_s": time_fit.offset_s,
@@ -352,8 +356,14 @@ def _joints(
         "to": "world",
         "covered": float(np.isfinite(values[:, 0]).mean()),
     }
-    named = zip(columns, values.T, strict=True)
-    return {name: (column, units[name], "opensim") for name, column in named}, report
+    lengths = (
+        {*columns} if kind == "landmarks" else {*filter(is_translation, columns), *named["translations"]}
+    )
+    lengths -= {*named["rotations"]} if kind == "coordinates" else set()
+    return {
+        name: (column, "m" if name in lengths else "rad", "opensim")
+        for name, column in zip(columns, values.T, strict=True)
+    }, report
 
 
 def _coordinate_pelvis(trial: _Trial, recording: CoordinateRecording) -> alignment.PelvisPath:
@@ -473,9 +483,10 @@ def _robot(
     if trial.log is None:
         trial.note("no_robot_log", "info", trial.tsv, "", "no robot log", "robot columns empty")
         return {name: np.full(len(clock), np.nan) for name in names}, None, {"status": "no robot log"}
-    log = read_log(trial.log)
+    log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
     trial.findings.extend(log.findings)
     offset, report = _synchronise_log(trial, clock, positions, log)
+    report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
     gap = trial.settings["max_gap_s"]
     base_time, base = _unique(trial, log.base_time_s, np.column_stack(list(log.base.values())), "/odom")
     joints = np.column_stack([log.joints[j] for j in ARM_JOINTS])[:, [0, 2, 4, 1, 3, 5]]
@@ -496,6 +507,24 @@ def _robot(
         columns |= dict(zip(WRENCH, signals.resample(wrench_time, wrench, other, gap).T, strict=True))
     up = _arm_up(trial, columns, positions, report)
     return columns, up, report
+
+
+def _stamp_delays(trial: _Trial, path: Path, log: RobotLog) -> dict[str, dict[str, float]]:
+    """Median and spread [s] of the delay from stamp to log time by topic; warn where one is large."""
+    limit = trial.settings["robot_log"]["stamps"]["delay_warn_s"]
+    for topic, delay in log.delays.items():
+        median = delay.beyond_clock_s if delay.other_clock else delay.median_s
+        if max(abs(median), delay.spread_s) > limit:
+            against = "the first topic of its clock" if delay.other_clock else "its stamps"
+            message = (
+                f"logged {1e3 * median:.1f} ms after {against} (median), spread {1e3 * delay.spread_s:.1f} ms"
+            )
+            action = "stamps are used; /sync has none, its time is the log's"
+            trial.note("stamp_delay", "warning", path, topic, message, action)
+    return {
+        topic: {"median": delay.median_s, "beyond_clock": delay.beyond_clock_s, "spread": delay.spread_s}
+        for topic, delay in log.delays.items()
+    }
 
 
 def _unique(

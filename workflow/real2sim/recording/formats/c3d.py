@@ -22,8 +22,12 @@ from real2sim.recording.formats.trc import UNITS_PER_M
 _EXPORT = "export the trial again as C3D, or as TSV (3D)"
 _BLOCK = 512
 _FAR_M = 1e6
+_FASTEST_HZ = 1e6
+_SINGLE = 1e-5  # the file's floats have single precision
 _PROCESSORS = {84: "<", 85: "<", 86: ">"}  # Intel, DEC (whose integers are Intel's), MIPS
 _SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}
+
+_PADDING = " \t\r\n\0"  # of strings: blanks by the standard, null bytes by OptiTrack and Motion Analysis
 
 _Groups = dict[str, dict[str, tuple[int, tuple[int, ...], bytes]]]  # group, name: type, dimensions, data
 
@@ -37,20 +41,24 @@ def read_c3d(path: Path) -> MarkerRecording:
     """Read the points of a C3D; positions and residuals [m], NaN where the residual is negative.
 
     Frames keep the numbers of the original recording, and times and events its clock: frame 1 is time 0.
-    Raises InputError where the file is damaged or does not say its unit or rate.
+    Raises InputError where the file is damaged, has no points, does not say its unit or rate, or where header and
+    parameters contradict each other.
     """
     path = Path(path)
     raw = read_bytes(path, "a C3D", _EXPORT)
     if not is_c3d(raw):
         raise InputError(path, "", f"a file that starts with {raw[:4]!r}", "a C3D", _EXPORT, "header")
+    findings: list[Finding] = []
     try:
         groups = _parameters(raw)
-        extent = _extent(raw, groups)
+        extent = _extent(path, raw, groups)
+        _check_layout(path, groups, extent, findings)
         values, residual = _data(raw, groups, extent)
     except (ValueError, struct.error, IndexError, KeyError) as error:
         expected = "a complete C3D"
         raise InputError(path, "", f"a damaged header ({error})", expected, _EXPORT, "damaged") from error
-    return _recording(path, groups, values, residual, extent.first)
+    _check_residuals(path, groups, values, residual, findings)
+    return _recording(path, groups, values, residual, extent, findings)
 
 
 # -------------------- layout
@@ -127,13 +135,17 @@ def _texts(groups: _Groups, group: str, name: str) -> list[str]:
         if kind != -1 or not dimensions:
             continue
         width = max(dimensions[0], 1)
-        out += [data[i : i + width].decode("latin-1").strip() for i in range(0, len(data), width)]
+        out += [data[i : i + width].decode("latin-1").strip(_PADDING) for i in range(0, len(data), width)]
     return out
 
 
 @dataclass(frozen=True)
 class _Extent:
-    """Where the data lie: points and analog words per frame, first frame, frames, offset, scale (< 0: floats)."""
+    """Where the data lie by the header.
+
+    Points and analog words per frame, first frame, frames, offset [bytes], scale (< 0: floats), rate [Hz], analog
+    samples of a channel per frame, and bytes of the file from the offset on.
+    """
 
     points: int
     analogs: int
@@ -141,14 +153,30 @@ class _Extent:
     frames: int
     offset: int
     scale: float
+    rate: float
+    samples: int
+    size_there: int
+
+    def fits(self, analogs: int) -> bool:
+        """Return whether a number of analog words per frame leaves less than one block of the file over."""
+        size = (4 if self.scale < 0 else 2) * (4 * self.points + analogs) * self.frames
+        return 0 <= self.size_there - size < _BLOCK
 
 
-def _extent(raw: bytes, groups: _Groups) -> _Extent:
+def _extent(path: Path, raw: bytes, groups: _Groups) -> _Extent:
     """Extent of the data by the header; the file must hold them."""
     order = groups[""]["ORDER"][2].decode()
     points, analogs, first, last = struct.unpack_from(f"{order}4H", raw, 2)
+    used = _number(groups, "POINT", "USED")
+    if not points and used in (None, 0):
+        found = f"no points, {analogs} analog samples per frame"
+        remedy = "export the trial with its 3D trajectories"
+        raise InputError(path, "header", found, "the trajectories of markers", remedy, "no_data")
+    if used is not None and used != points:
+        raise _contradiction(path, "POINT:USED", f"{used:g} points, {points} in the header")
     (block,) = struct.unpack_from(f"{order}H", raw, 16)
-    scale = float(_real(groups, raw[12:16])[0])
+    scale, rate = _real(groups, raw[12:16] + raw[20:24]).tolist()
+    (samples,) = struct.unpack_from(f"{order}H", raw, 18)
     frames = _long_frames(groups, first, last - first + 1) if last == 65535 else last - first + 1
     size = (4 if scale < 0 else 2) * (4 * points + analogs)
     there = (len(raw) - (block - 1) * _BLOCK) // size if size else 0
@@ -156,7 +184,49 @@ def _extent(raw: bytes, groups: _Groups) -> _Extent:
         raise ValueError(
             f"{points} points and {frames} frames declared, {there} frames there, scale {scale:g}"
         )
-    return _Extent(points, analogs, first, frames, (block - 1) * _BLOCK, scale)
+    offset = (block - 1) * _BLOCK
+    return _Extent(points, analogs, first, frames, offset, scale, rate, samples, len(raw) - offset)
+
+
+def _number(groups: _Groups, group: str, name: str) -> float | None:
+    """Return the number of a parameter that holds one, None where it is not there or not finite."""
+    values = _floats(groups, group, name)
+    return float(values[0]) if len(values) and np.isfinite(values[0]) else None
+
+
+def _contradiction(path: Path, place: str, found: str) -> InputError:
+    expected = "the same in header and parameters: positions cannot be told from other numbers otherwise"
+    return InputError(path, place, found, expected, _EXPORT, "c3d_contradiction")
+
+
+def _check_layout(path: Path, groups: _Groups, extent: _Extent, findings: list[Finding]) -> None:
+    """Refuse parameters that lay out the data otherwise than the header, which would shift or scale positions."""
+    scale = _number(groups, "POINT", "SCALE")
+    found = f"scale {scale or 0:g}, {extent.scale:g} in the header"
+    other_type = scale and (scale < 0) != (extent.scale < 0) and not extent.fits(extent.analogs)
+    integers = extent.scale > 0  # floats are not scaled
+    if scale and (
+        other_type or (integers and not np.isclose(abs(scale), extent.scale, rtol=_SINGLE, atol=0))
+    ):
+        raise _contradiction(path, "POINT:SCALE", found)
+    start = _number(groups, "POINT", "DATA_START")
+    if start and int(start) % 65536 != extent.offset // _BLOCK + 1:
+        message = f"data from block {start:g}, {extent.offset // _BLOCK + 1} in the header"
+        findings.append(finding("count", "warning", path, "POINT:DATA_START", message, "the header is used"))
+    frames = _number(groups, "POINT", "FRAMES")
+    if frames and int(frames) % 65536 not in (extent.frames % 65536, 65535):
+        message = f"{int(frames) % 65536} frames declared, {extent.frames} by the header"
+        findings.append(finding("count", "warning", path, "POINT:FRAMES", message, "the header is used"))
+    channels = _number(groups, "ANALOG", "USED")
+    if channels is None or channels * extent.samples == extent.analogs:
+        return
+    message = (
+        f"{channels:g} channels of {extent.samples} samples, {extent.analogs} words per frame in the header"
+    )
+    if not extent.fits(extent.analogs) or extent.fits(int(channels * extent.samples)):
+        raise _contradiction(path, "ANALOG:USED", message)
+    action = "the header is used: it fits the size of the file"
+    findings.append(finding("count", "warning", path, "ANALOG:USED", message, action))
 
 
 def _long_frames(groups: _Groups, first: int, frames: int) -> int:
@@ -188,15 +258,54 @@ def _data(raw: bytes, groups: _Groups, extent: _Extent) -> tuple[np.ndarray, np.
     return table[:, :, :3] * (1.0 if real else extent.scale), np.where(missing, -1.0, residual)
 
 
+def _check_residuals(
+    path: Path, groups: _Groups, values: np.ndarray, residual: np.ndarray, findings: list[Finding]
+) -> None:
+    """Report points whose residual says missing in every frame though they have positions; refuse all of them."""
+    never = np.asarray((residual < 0).all(axis=0))
+    with_positions = never & (np.isfinite(values) & (values != 0)).all(axis=2).any(axis=0)
+    if never.all():
+        found = f"residual words that say missing in all frames of all {len(never)} points"
+        if with_positions.any():
+            found += f", {int(with_positions.sum())} of which have positions"
+        raise InputError(path, "", found, "a residual of 0 or more where seen", _EXPORT, "no_data")
+    if with_positions.any():
+        labels = _texts(groups, "POINT", "LABELS")
+        names = [labels[i] if i < len(labels) else f"#{i + 1}" for i in np.flatnonzero(with_positions)]
+        message = f"the residual says missing in all frames, though there are positions: {', '.join(names)}"
+        findings.append(finding("residual_missing", "warning", path, "", message, "taken as missing"))
+
+
+def _rate(path: Path, groups: _Groups, extent: _Extent, findings: list[Finding]) -> float:
+    """Return the rate [Hz] of POINT:RATE, which must be the header's; the header's where the parameter is missing."""
+    stated, header = _number(groups, "POINT", "RATE"), extent.rate
+    known: list[float] = [rate for rate in (stated, header) if rate is not None and 0 < rate < _FASTEST_HZ]
+    if not known:
+        found = f"{stated or 0:g} Hz, {header:g} Hz in the header"
+        raise InputError(path, "POINT:RATE", found, "the rate in Hz", _EXPORT, "rate")
+    # Some headers round the rate to a whole number.
+    if len(known) == 2 and known[1] != round(known[0]) and abs(known[1] / known[0] - 1) > _SINGLE:
+        found, remedy = (
+            f"{known[0]:g} Hz, {known[1]:g} Hz in the header",
+            "export again, or correct the wrong one",
+        )
+        raise InputError(path, "POINT:RATE", found, "the same in both", remedy, "rate")
+    if stated is None or stated not in known:
+        message = f"no rate, {header:g} Hz in the header"
+        findings.append(finding("rate_header", "info", path, "POINT:RATE", message, "the header is used"))
+    return known[0]
+
+
 def _recording(
-    path: Path, groups: _Groups, values: np.ndarray, residual: np.ndarray, first: int
+    path: Path,
+    groups: _Groups,
+    values: np.ndarray,
+    residual: np.ndarray,
+    extent: _Extent,
+    findings: list[Finding],
 ) -> MarkerRecording:
-    findings: list[Finding] = []
     names = _labels(path, groups, values.shape[1], findings)
-    rate = float(np.append(_floats(groups, "POINT", "RATE"), np.nan)[0])
-    if not 0 < rate < 1e6:
-        remedy = _EXPORT
-        raise InputError(path, "POINT:RATE", f"{rate:g}", "the rate in Hz", remedy, "rate")
+    rate = _rate(path, groups, extent, findings)
     unit = (_texts(groups, "POINT", "UNITS") or [""])[0]
     if unit.lower() not in UNITS_PER_M:
         expected = ", ".join(UNITS_PER_M)
@@ -209,10 +318,10 @@ def _recording(
         raise InputError(path, "", found, "positions", _EXPORT, "not_finite")
     positions = known_positions(path, values, names, findings)
     residuals = np.where((residual < 0) | np.isnan(values).any(axis=2), np.nan, residual / scale)
-    time_s = (first - 1 + np.arange(len(values))) / rate
+    time_s = (extent.first - 1 + np.arange(len(values))) / rate
     by_name = {name: residuals[:, i].copy() for i, name in enumerate(names)}
     events = _events(path, groups, findings)
-    return MarkerRecording(time_s, rate, positions, first, findings, events, by_name)
+    return MarkerRecording(time_s, rate, positions, extent.first, findings, events, by_name)
 
 
 def _labels(path: Path, groups: _Groups, points: int, findings: list[Finding]) -> list[str]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from real2sim.errors import InputError
 from real2sim.recording.formats import c3d, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestRobotLogStampsSettings
 
 # By format: what it is called, its extensions, and what reads it.
 FORMATS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -69,7 +73,7 @@ def _by_content(head: bytes) -> str | None:
         return "trc"
     if any(line.startswith(_QTM_KEYS) for line in lines[:50]):
         return "tsv"
-    lowered = [line.strip().lower() for line in lines[:1000]]
+    lowered = [line.strip(b", \t").lower() for line in lines[:1000]]
     if b"endheader" in lowered or any(line.startswith(b"time") for line in lowered):
         return "storage"
     return None
@@ -100,23 +104,34 @@ def read_markers(path: Path) -> MarkerRecording:
     return recording
 
 
-def read_markerless(path: Path) -> CoordinateRecording | MarkerRecording:
-    """Read a markerless export: coordinates (.mot, .sto) or landmarks (.trc). Raises InputError otherwise."""
+def read_markerless(
+    path: Path, *, translations: Collection[str] = (), rotations: Collection[str] = ()
+) -> CoordinateRecording | MarkerRecording:
+    """Read a markerless export: coordinates (.mot, .sto) or landmarks (.trc). Raises InputError otherwise.
+
+    ``translations`` and ``rotations`` name coordinates whose names do not tell what they are.
+    """
     path = Path(path)
     findings: list[Finding] = []
     kind = _detected(path, ("storage", "trc"), "coordinates or landmarks", findings)
     recording: CoordinateRecording | MarkerRecording
-    recording = opensim.read_coordinates(path) if kind == "storage" else trc.read_landmarks(path)
+    if kind == "storage":
+        recording = opensim.read_coordinates(path, translations=translations, rotations=rotations)
+    else:
+        recording = trc.read_landmarks(path)
     recording.findings[:0] = findings
     return recording
 
 
-def read_log(path: Path) -> RobotLog:
-    """Read a robot log. Raises InputError where the file is no MCAP or lacks the robot's topics."""
+def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
+    """Read a robot log; ``stamps`` is the slice ``ingest.robot_log.stamps``, by default that of an empty configuration.
+
+    Raises InputError where the file is no MCAP or lacks the robot's topics.
+    """
     path = Path(path)
     findings: list[Finding] = []
     _detected(path, ("mcap",), "a robot log", findings)
-    log = robot_log.read_log(path)
+    log = robot_log.read_log(path, stamps)
     log.findings[:0] = findings
     return log
 

@@ -9,6 +9,7 @@ https://opensimconfluence.atlassian.net/wiki/spaces/OpenSim/pages/53089996
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,34 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, StorageRecording
-from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
+from real2sim.recording.formats.text import (
+    cells_of,
+    divide_by_tabs,
+    increasing,
+    read_lines,
+    read_table,
+    stripped,
+)
 
 PELVIS_COORDINATES = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
-_TRANSLATION = re.compile(r"_t[xyz]$")
+_TRANSLATION = re.compile(r"(^|_)t[xyz](_|$)")
+# Words by which OpenSim's models name rotations: Rajagopal, gait2392, gait10dof, MoBL, full-body spines
+_ROTATION = re.compile(
+    r"(^|_)(tilt|list|rot|rotation|flex|flexion|ext|extension|add|adduction|abd|abduction|angle|bend|bending|inversion"
+    r"|eversion|pro|sup|pronation|supination|dev|deviation|elv|elevation|prot|protraction|retraction|obliquity|yaw"
+    r"|pitch|roll|fe|lb|ar|beta)(_|$)",
+    re.IGNORECASE,
+)
 
 
 def is_translation(name: str) -> bool:
-    """Whether a coordinate is a translation [m] by OpenSim's naming (``pelvis_tx``), else a rotation."""
+    """Return whether a coordinate is a translation [m] by OpenSim's naming (``pelvis_tx``, ``knee_tx_r``)."""
     return bool(_TRANSLATION.search(name))
+
+
+def is_rotation(name: str) -> bool:
+    """Return whether a coordinate is a rotation by the words of OpenSim's models (``hip_flexion_r``)."""
+    return not is_translation(name) and bool(_ROTATION.search(name))
 
 
 def write_coordinates(path: Path, recording: CoordinateRecording, *, name: str = "Coordinates") -> None:
@@ -60,16 +80,20 @@ _AGAIN = "the file may be cut off: export it again"
 _WHAT = "an OpenSim .mot or .sto"
 _FORCES = re.compile(r"force|moment|torque", re.IGNORECASE)
 _STATE = re.compile(r"^/.*/([^/]+)/value$")
+_MUSCLE_STATE = re.compile(r"\.[A-Za-z_]+$")  # soleus_r.activation, as states files of OpenSim 3 have it
 _SIMM = re.compile(r"(datacolumns|datarows|otherdata|name|range|indegrees)\s+(\S.*)", re.IGNORECASE)
 _IMPOSSIBLE_RAD = 4 * np.pi  # no joint, and no person turning on the spot in a trial, gets there
 _ELEMENTS = {"double": 1, "float": 1, "vec3": 3, "unitvec3": 3, "quaternion": 4, "vec6": 6, "spatialvec": 6}
 
 
-def read_coordinates(path: Path) -> CoordinateRecording:
+def read_coordinates(
+    path: Path, *, translations: Collection[str] = (), rotations: Collection[str] = ()
+) -> CoordinateRecording:
     """Read an OpenSim .mot or .sto of coordinates, on its own clock; rotations [rad], translations [m].
 
-    Counts declared in the header are checked, never trusted. Raises InputError, with the line, where the file
-    holds no coordinates, or leaves open whether its angles are degrees or radians.
+    ``translations`` and ``rotations`` name coordinates whose names do not tell what they are. Counts declared in the
+    header are checked, never trusted. Raises InputError, with the line, where the file holds no coordinates, or
+    leaves open whether its angles are degrees or radians.
     """
     path = Path(path)
     storage = read_storage(path)
@@ -78,11 +102,22 @@ def read_coordinates(path: Path) -> CoordinateRecording:
         found = "column names and no data"
         raise InputError(path, "", found, "one row per time", _EXPORT_MOT, "no_data")
     columns = _coordinates(path, storage, findings)
-    in_degrees = _in_degrees(path, storage, columns, findings)
+    lengths = {
+        name for name in columns if (is_translation(name) or name in translations) and name not in rotations
+    }
+    unknown = [n for n in columns if n not in lengths and n not in rotations and not is_rotation(n)]
+    angles = {name: values for name, values in columns.items() if name not in lengths}
+    in_degrees = _in_degrees(path, storage, angles, findings)
     if in_degrees:
-        columns = {k: v if is_translation(k) else np.radians(v) for k, v in columns.items()}
+        columns |= {name: np.radians(values) for name, values in angles.items()}
+    if unknown:
+        message = f"{', '.join(unknown)}: rotations or translations? Their names do not tell"
+        severity, action = "info", "nothing is converted"
+        if in_degrees:
+            severity, action = "warning", "taken as rotations in degrees"
+        findings.append(Finding("coordinate_kind", severity, path.name, "", message, action))
     _check_knee(path, columns, findings)
-    return CoordinateRecording(storage.time_s, columns, findings)
+    return CoordinateRecording(storage.time_s, columns, findings, in_degrees, unknown)
 
 
 def read_storage(path: Path) -> StorageRecording:
@@ -91,8 +126,8 @@ def read_storage(path: Path) -> StorageRecording:
     Raises InputError, with the line, where a row does not have the cells that the names say.
     """
     path = Path(path)
-    lines = read_lines(path, _WHAT, _EXPORT_MOT)
     findings: list[Finding] = []
+    lines = divide_by_tabs(path, read_lines(path, _WHAT, _EXPORT_MOT), "time", findings)
     at = _names_line(path, lines, findings)
     head = lines[:at]
     header = _keys(head)
@@ -102,6 +137,7 @@ def read_storage(path: Path) -> StorageRecording:
     rows = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
     table = _table(path, lines, rows, len(names), time_column, elements)
     _check_counts(path, header, len(rows), len(names), findings)
+    table = _without_repeated_end(path, table, time_column, rows, findings)
     time_s = table[:, time_column, 0].copy()
     increasing(path, time_s, "time", rows, time_column)
     columns = {name: table[:, i].copy() for i, name in enumerate(names) if i != time_column}
@@ -190,6 +226,20 @@ def _table(
     return out
 
 
+def _without_repeated_end(
+    path: Path, table: np.ndarray, time_column: int, rows: list[int], findings: list[Finding]
+) -> np.ndarray:
+    """Return the table without a last row that repeats the time of the row before, as RRA, CMC and forward write it."""
+    time_s = table[:, time_column, 0]
+    if len(time_s) < 3 or time_s[-1] != time_s[-2]:
+        return table
+    same = np.array_equal(table[-1], table[-2], equal_nan=True)
+    message = f"time {time_s[-1]:g} in the last two rows, " + ("the same values" if same else "other values")
+    severity, place = "info" if same else "warning", f"line {rows[-1] + 1}"
+    findings.append(Finding("time_repeated", severity, path.name, place, message, "the last row is left out"))
+    return table[:-1]
+
+
 def _check_counts(
     path: Path, header: dict[str, str], rows: int, columns: int, findings: list[Finding]
 ) -> None:
@@ -206,17 +256,13 @@ def _coordinates(path: Path, storage: StorageRecording, findings: list[Finding])
     if elements != 1:
         found = f"DataType={storage.header['datatype']}"
         raise InputError(path, "DataType", found, "coordinates (double)", _EXPORT_MOT, "wrong_kind")
-    if any(_FORCES.search(name) for name in names) and not any(
-        name.endswith("pelvis_tilt") for name in names
-    ):
-        found, expected = f"forces ({names[0]}, ...)", "coordinates (pelvis_tilt, ...)"
-        raise InputError(path, "", found, expected, _EXPORT_MOT, "wrong_kind")
+    _check_quantity(path, storage)
     columns: dict[str, np.ndarray] = {}
     others = 0
     for name, values in storage.columns.items():
         state = _STATE.match(name)
         speed = name.endswith("_u") and name.removesuffix("_u") in storage.columns
-        if speed or (name.startswith("/") and not state):
+        if speed or (name.startswith("/") and not state) or _MUSCLE_STATE.search(name):
             others += 1
             continue
         own = state[1] if state else name
@@ -227,17 +273,35 @@ def _coordinates(path: Path, storage: StorageRecording, findings: list[Finding])
     if others:
         message = f"{others} columns of speeds or other states"
         findings.append(Finding("other_states", "info", path.name, "", message, "left out"))
+    if not columns:
+        found, expected = f"states without a coordinate ({names[0]}, ...)", "coordinates (pelvis_tilt, ...)"
+        raise InputError(path, "", found, expected, _EXPORT_MOT, "wrong_kind")
     return columns
 
 
+def _check_quantity(path: Path, storage: StorageRecording) -> None:
+    """Refuse tables of forces, speeds or accelerations; states may lie beside coordinates (``/forceset/...``)."""
+    title = storage.header_lines[0].strip().lower() if storage.header_lines else ""
+    plain = [name for name in storage.columns if not name.startswith("/")]
+    forces = any(_FORCES.search(name) for name in plain)
+    if forces and not any(name.endswith("pelvis_tilt") for name in plain):
+        found = f"forces ({plain[0]}, ...)"
+    elif title in ("speeds", "accelerations"):
+        found = f"{title} ({storage.header_lines[0].strip()!r} in line 1)"
+    else:
+        return
+    raise InputError(path, "", found, "coordinates (pelvis_tilt, ...)", _EXPORT_MOT, "wrong_kind")
+
+
 def _in_degrees(
-    path: Path, storage: StorageRecording, columns: dict[str, np.ndarray], findings: list[Finding]
+    path: Path, storage: StorageRecording, angles: dict[str, np.ndarray], findings: list[Finding]
 ) -> bool:
+    """Return whether the rotations are in degrees by the header, and check radians against what they can be."""
     stated = storage.header.get("indegrees", "").lower()
     written = any(line.strip().lower().startswith("angles are in degrees") for line in storage.header_lines)
     if stated[:1] in ("y", "t", "1") or (not stated and written):
         return True
-    rotations = [v for k, v in columns.items() if not is_translation(k)]
+    rotations = list(angles.values())
     largest = float(np.nanmax(np.abs(rotations))) if rotations and np.isfinite(rotations).any() else 0.0
     if not stated:
         if largest > _IMPOSSIBLE_RAD:

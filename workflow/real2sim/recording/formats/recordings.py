@@ -83,16 +83,40 @@ class StorageRecording:
 
 @dataclass
 class CoordinateRecording:
-    """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m]."""
+    """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m].
+
+    ``in_degrees`` says that the file has degrees; ``unknown`` are the columns whose name does not tell whether they
+    are rotations, which they are taken for, or translations.
+    """
 
     time_s: np.ndarray
     columns: dict[str, np.ndarray]
     findings: list[Finding] = field(default_factory=list)
+    in_degrees: bool = False
+    unknown: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class StampDelay:
+    """How much later than stamped the messages of a topic were logged [s].
+
+    ``median_s`` is log time less stamp, ``beyond_clock_s`` that less the offset of the stamps' clock from log time,
+    ``spread_s`` what the delays vary from the 5th to the 95th percentile. ``other_clock`` says that the stamps come
+    from a clock of another epoch than log time.
+    """
+
+    median_s: float
+    beyond_clock_s: float
+    spread_s: float
+    other_clock: bool
 
 
 @dataclass
 class RobotLog:
     """A robot's log on the robot's clock [s since the log's first message].
+
+    Times are those of the stamps, laid on log time; log time where messages have none (`formats.stamps`).
+    ``delays`` maps a topic with stamps to how late it was logged.
 
     ``base`` has columns ``x y yaw`` [m, m, rad] in the odometry frame and ``vx vy wz`` [m/s, m/s, rad/s] in
     the base frame; ``joints`` maps a joint name to (n, 2) position and velocity [m or rad, per s]; ``wrench``
@@ -108,3 +132,4 @@ class RobotLog:
     wrench: np.ndarray | None = None
     sync_s: np.ndarray | None = None
     findings: list[Finding] = field(default_factory=list)
+    delays: dict[str, StampDelay] = field(default_factory=dict)

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from real2sim.recording.formats.mcap_file import (
     read_messages,
 )
 from real2sim.recording.formats.recordings import Finding, RobotLog
+from real2sim.recording.formats.stamps import StampedTopic, choose_times, default_settings, stamp_ns
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestRobotLogStampsSettings
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -309,11 +313,12 @@ _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
 
 
-def read_log(path: Path) -> RobotLog:
-    """Read a robot log; times [s] since its first message, ordered by log time.
+def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
+    """Read a robot log; times [s] since its first message, by the stamps of the messages where they have any.
 
-    Memory is bounded by the numbers of the four topics, not by the file. Raises InputError where the file is
-    truncated, a required topic is missing, or a message cannot be decoded as what its channel says it is.
+    ``stamps`` is the slice ``ingest.robot_log.stamps`` of the configuration, by default that of an empty one. Memory
+    is bounded by the numbers of the four topics, not by the file. Raises InputError where the file is truncated, a
+    required topic is missing, or a message cannot be decoded as what its channel says it is.
     """
     path = Path(path)
     contents = Contents()
@@ -324,6 +329,11 @@ def read_log(path: Path) -> RobotLog:
             found = f"topics {', '.join(sorted({c.topic for c in contents.channels.values()})) or 'none'}"
             expected, remedy = f"{topic} ({TOPICS[topic]})", "record the topic, or remap it"
             raise InputError(path, f"topic {topic}", found, expected, remedy, "topic_missing")
+    stamped = [topic.stamped() for topic in topics.values() if topic.channel.topic != "/sync"]
+    times, delays = choose_times(path, stamped, stamps or default_settings(), findings)
+    for name, chosen in times.items():
+        topics[name].time_ns = chosen
+    del stamped, times
     base_time, table = topics.pop("/odom").table(start_ns)
     base = dict(zip(BASE_COLUMNS, table.T, strict=True))
     _unwrap(base["yaw"])
@@ -342,7 +352,9 @@ def read_log(path: Path) -> RobotLog:
         if values is not None and not np.isfinite(values).all():
             found = "values that are not finite"
             raise InputError(path, f"topic {name}", found, "numbers", _RECORD, "not_finite")
-    return RobotLog(start_ns, base_time, base, joint_time, joints, wrench_time, wrench, sync, findings)
+    return RobotLog(
+        start_ns, base_time, base, joint_time, joints, wrench_time, wrench, sync, findings, delays
+    )
 
 
 @dataclass
@@ -363,14 +375,16 @@ class _Topic:
     waiting: list[bytes] = field(default_factory=list)
     bytes_waiting: int = 0
     count: int = 0
+    logged: list[np.ndarray] = field(default_factory=list)
+    logged_waiting: list[int] = field(default_factory=list)
     stamps: list[np.ndarray] = field(default_factory=list)
-    stamps_waiting: list[int] = field(default_factory=list)
+    time_ns: np.ndarray | None = None
     groups: list[_Group] = field(default_factory=list)
     rows: bytearray = field(default_factory=bytearray)
 
-    def add(self, stamp: int, payload: bytes) -> None:
+    def add(self, logged: int, payload: bytes) -> None:
         self.waiting.append(payload)
-        self.stamps_waiting.append(stamp)
+        self.logged_waiting.append(logged)
         self.bytes_waiting += len(payload)
         if self.bytes_waiting > _BATCH:
             self.flush()
@@ -381,20 +395,36 @@ class _Topic:
             return
         cdr = self.channel.message_encoding == "cdr"
         groups = (_decode_cdr if cdr else _decode_any)(self.path, self.channel, self.waiting, self.count)
+        stamps = np.zeros(len(self.waiting), np.int64)
         for group in groups:
+            if "stamp" in group.values:
+                stamps[group.index - self.count] = stamp_ns(*group.values["stamp"].T)
             group.values = _needed(self.path, self.channel.topic, group)
             group.index = group.index.astype(np.int32)
+        self.stamps.append(stamps)
         if self.channel.topic == "/joint_states":
             self.groups.extend(groups)
         else:
             self._extend(groups)
-        self.stamps.append(np.array(self.stamps_waiting, np.int64))
+        self.logged.append(np.array(self.logged_waiting, np.int64))
         self.count += len(self.waiting)
-        self.waiting, self.stamps_waiting, self.bytes_waiting = [], [], 0
+        self.waiting, self.logged_waiting, self.bytes_waiting = [], [], 0
+
+    def stamped(self) -> StampedTopic:
+        """Return the times of all messages; of joint states, those with the arm's joints are counted."""
+        counted = np.ones(self.count, bool)
+        if self.channel.topic == "/joint_states":
+            counted[:] = False
+            for group in self.groups:
+                counted[group.index] = set(ARM_JOINTS) <= set(group.names)
+        logged, stamps = np.concatenate(self.logged), np.concatenate(self.stamps)
+        self.logged, self.stamps = [logged], []
+        return StampedTopic(self.channel.topic, logged, stamps, counted)
 
     def times(self, start_ns: int) -> np.ndarray:
-        """Times [s] of all messages in the order they came."""
-        return (np.concatenate(self.stamps) - start_ns) / 1e9
+        """Return the times [s] of all messages in the order they came: those that were chosen, else log times."""
+        time_ns = np.concatenate(self.logged) if self.time_ns is None else self.time_ns
+        return (time_ns - start_ns) / 1e9
 
     def table(self, start_ns: int) -> tuple[np.ndarray, ...]:
         """Times [s] and the columns ``table`` of all messages, in the order of time."""
@@ -490,7 +520,10 @@ def _decode_cdr(path: Path, channel: Channel, payloads: list[bytes], before: int
             values = {}
             for name, (at, count) in layout.items.items():
                 size, kind = (1, "u1") if type_name == BOOL else (8, "<f8")
-                if name != "stamp" and not name.endswith("_covariance"):
+                if name == "stamp":
+                    seconds, rest_ns = (np.ascontiguousarray(table[alike, i : i + 4]) for i in (at, at + 4))
+                    values[name] = np.hstack([seconds.view("<i4").astype(np.int64), rest_ns.view("<u4")])
+                elif not name.endswith("_covariance"):
                     columns = np.ascontiguousarray(table[alike, at : at + size * count])
                     values[name] = (
                         columns.view(kind).reshape(-1, count) if count else np.zeros((alike.sum(), 0))
@@ -569,6 +602,7 @@ def _fields(type_name: str, message: Any) -> tuple[tuple[str, ...], dict[str, li
     if type_name == ODOMETRY:
         pose, twist = _inner(message, "pose"), _inner(message, "twist")
         return (), {
+            "stamp": _stamp(message),
             "position": _vector(_member(pose, "position"), ("x", "y")),
             "orientation": _vector(_member(pose, "orientation"), (*_XYZ, "w")),
             "linear": _vector(_member(twist, "linear"), ("x", "y")),
@@ -577,6 +611,7 @@ def _fields(type_name: str, message: Any) -> tuple[tuple[str, ...], dict[str, li
     if type_name == WRENCH:
         wrench = _member(message, "wrench")
         return (), {
+            "stamp": _stamp(message),
             "force": _vector(_member(wrench, "force"), _XYZ),
             "torque": _vector(_member(wrench, "torque"), _XYZ),
         }
@@ -590,7 +625,21 @@ def _fields(type_name: str, message: Any) -> tuple[tuple[str, ...], dict[str, li
         raise Undecodable("joint names that are no text")
     position = [_scalar(v, "position") for v in _list(_member(message, "position"), "position")]
     velocity = [_scalar(v, "velocity") for v in _list(_member(message, "velocity", []), "velocity")]
-    return tuple(names), {"position": position, "velocity": velocity}
+    return tuple(names), {"stamp": _stamp(message), "position": position, "velocity": velocity}
+
+
+def _stamp(message: Any) -> list[float]:
+    """Seconds and nanoseconds of ``header.stamp`` by the names of ROS 2, ROS 1 or protobuf; 0, 0 without one."""
+    header = _member(message, "header", None)
+    stamp = None if header is None else _member(header, "stamp", None)
+    if stamp is None:
+        return [0.0, 0.0]
+    fields = []
+    for names in (("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")):
+        given = (_member(stamp, name, None) for name in names)
+        value = next((value for value in given if value is not None), 0)
+        fields.append(_scalar(value, f"header.stamp.{names[0]}"))
+    return fields
 
 
 def _inner(message: Any, name: str) -> Any:

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from real2sim.errors import InputError
+from real2sim.recording.formats.recordings import Finding
 
+_HEAD = 1000  # lines within which the row of names is looked for
 _LARGE = 20_000  # cells from which on the fast parser pays
 _AGAIN = "the file may be cut off or edited: export it again"
 
@@ -36,6 +38,22 @@ def read_lines(path: Path, expected: str, remedy: str) -> Lines:
         return Lines(raw.decode("cp1252", errors="replace").split("\n"))
     lines.raw = raw
     return lines
+
+
+def divide_by_tabs(path: Path, lines: Lines, first: str, findings: list[Finding]) -> Lines:
+    """Return the lines with tabs between cells, where commas divide the row of names, whose first cell is ``first``.
+
+    Commas count as dividers by the row of names alone, so that a decimal comma is never taken for one.
+    """
+    start = f"{first},"
+    at = next((i for i, line in enumerate(lines[:_HEAD]) if line.strip().lower().startswith(start)), None)
+    if at is None or "\t" in lines[at]:
+        return lines
+    message = "commas divide the cells"
+    findings.append(
+        Finding("commas", "info", path.name, f"line {at + 1}", message, "read as if they were tabs")
+    )
+    return Lines(line.replace(",", "\t") for line in lines)
 
 
 def read_bytes(path: Path, expected: str, remedy: str) -> bytes:
@@ -83,12 +101,16 @@ def read_table(
     """Numbers (n, width) of the lines ``rows``; NaN where a cell is blank.
 
     All rows must have the same number of cells, ``width`` or more with only blanks beyond: a row with a cell
-    too few or too many cannot be put right by cutting its end. Raises InputError with the line.
+    too few or too many cannot be put right by cutting its end. Only the last row may lack the tab that ends the
+    others. Raises InputError with the line.
     """
     if not rows:
         return np.empty((0, width))
     tabs = any("\t" in lines[i] for i in rows)
     counts = [lines[i].count("\t") + 1 if tabs else len(lines[i].split()) for i in rows]
+    if tabs and _lacks_only_the_last_tab(lines, rows, counts, width):
+        lines = [*lines[: rows[-1]], lines[rows[-1]] + "\t", *lines[rows[-1] + 1 :]]
+        counts[-1] += 1
     usual = max(set(counts), key=lambda count: (counts.count(count), count))
     for i, count in zip(rows, counts, strict=True):
         if count != usual or count < width:
@@ -115,6 +137,24 @@ def read_table(
         place = f"line {rows[infinite[0][0]] + 1}, column {infinite[0][1] + 1}"
         raise InputError(path, place, "an infinite value", "a number", _AGAIN, "not_finite")
     return table[:, :width]
+
+
+def _lacks_only_the_last_tab(lines: list[str], rows: list[int], counts: list[int], width: int) -> bool:
+    """Return whether a tab ends every row but the last, and the last row is whole.
+
+    A file that breaks off within its last number looks alike: the last row is whole if a line feed follows it, or
+    if its last number has as many decimals as the one above.
+    """
+    if len(rows) < 2 or set(counts[:-1]) != {counts[-1] + 1} or counts[-1] < width:
+        return False
+    if any(not lines[i].endswith("\t") for i in rows[:-1]) or lines[rows[-1]].endswith("\t"):
+        return False
+    above, last = (lines[i].rstrip("\t").rpartition("\t")[2].strip() for i in rows[-2:])
+    return rows[-1] + 1 < len(lines) or ("." in last and _decimals(last) == _decimals(above))
+
+
+def _decimals(cell: str) -> int:
+    return len(cell.partition(".")[2])
 
 
 def _fast(lines: list[str], rows: list[int], width: int, blank: bool) -> np.ndarray | None:

@@ -15,7 +15,14 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.recording.formats.qualisys import finding, known_positions
 from real2sim.recording.formats.recordings import Finding, MarkerRecording
-from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
+from real2sim.recording.formats.text import (
+    cells_of,
+    divide_by_tabs,
+    increasing,
+    read_lines,
+    read_table,
+    stripped,
+)
 
 UNITS_PER_M = {"m": 1.0, "meters": 1.0, "cm": 100.0, "mm": 1000.0, "millimeters": 1000.0}
 _EXPORT = "export the landmarks again as .trc"
@@ -30,8 +37,8 @@ def read_landmarks(path: Path) -> MarkerRecording:
     where the file is no .trc or where names and numbers cannot be laid on each other.
     """
     path = Path(path)
-    lines = read_lines(path, "a .trc", _EXPORT)
     findings: list[Finding] = []
+    lines = divide_by_tabs(path, read_lines(path, "a .trc", _EXPORT), "frame#", findings)
     at, header = _header(path, lines)
     names, first = _names(path, lines, at)
     rows = [i for i in range(first, len(lines)) if lines[i].strip()]

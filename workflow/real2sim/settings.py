@@ -23,7 +23,8 @@ PathsSettings = TypedDict(
 IngestUnitsPelvisAnglesSettings = TypedDict(
     "IngestUnitsPelvisAnglesSettings",
     {
-        "moved_deg": float,
+        "markers_moved_deg": float,
+        "markerless_moved_deg": float,
         "ratio": float,
         "travel_ratio": float,
     },

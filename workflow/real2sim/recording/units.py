@@ -66,7 +66,8 @@ def check_pelvis(
     turned, theirs = _turned_deg(ours.rotation), _turned_deg(other.rotation)
     travelled = _travelled(ours.position), _travelled(other.position)
     times = theirs / turned if turned > 0 else np.inf
-    if not np.isfinite([turned, theirs, *travelled]).all() or max(turned, theirs) < limits["moved_deg"]:
+    seen = turned >= limits["markers_moved_deg"] if times < 1 else theirs >= limits["markerless_moved_deg"]
+    if not np.isfinite([turned, theirs, *travelled]).all() or not seen:
         return
     if (
         max(travelled) > limits["travel_ratio"] * min(travelled)

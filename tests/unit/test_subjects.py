@@ -94,6 +94,23 @@ def test_discover(tmp_path):
     assert read_subject(folder) == one
 
 
+def test_extensions_in_capitals_and_files_of_the_operating_system(tmp_path):
+    folder = person(tmp_path)
+    (folder / "dynamic_1.tsv").rename(folder / "dynamic_1.TSV")
+    (folder / "dynamic_1.mot").rename(folder / "dynamic_1.Mot")
+    (folder / "dynamic_1.mcap").rename(folder / "dynamic_1.MCAP")
+    (folder / "dynamic_1_6D.TSV").touch()
+    for name in ("Thumbs.db", "desktop.ini", ".DS_Store"):
+        (folder / name).touch()
+        (tmp_path / name).touch()
+    files = discover(tmp_path)["S01"].trials["dynamic_1"]
+    assert (files.markers.name, files.markerless.name, files.log.name) == (
+        "dynamic_1.TSV",
+        "dynamic_1.Mot",
+        "dynamic_1.MCAP",
+    )
+
+
 def test_no_folder_is_nobody(tmp_path):
     assert discover(tmp_path / "none") == {}
 

@@ -36,6 +36,7 @@ _TRIAL = re.compile(
 )
 _SUBJECT_ID = re.compile(r"[A-Za-z0-9]+")
 _FILE, _FOLDER = "a file", "a folder"
+_SYSTEM_FILES = ("thumbs.db", "ehthumbs.db", "desktop.ini")  # what Windows puts into folders of its own accord
 _NOT_TRIALS = ("README.md", "README.txt")  # may lie beside the subjects and in their folders
 
 
@@ -196,16 +197,20 @@ def _subject(folder: Path, values: dict[str, Any]) -> Subject:
 
 
 def _entries(folder: Path) -> list[tuple[str, str]]:
-    """Names in a folder without the hidden ones, in order, and what each is; links count as what they lead to.
+    """Names in a folder without hidden and system files, in order, and what each is; links count as their targets.
 
     Raises InputError where the folder cannot be listed.
     """
     try:
         with os.scandir(folder) as entries:
-            return sorted((entry.name, _what(entry)) for entry in entries if not entry.name.startswith("."))
+            return sorted((entry.name, _what(entry)) for entry in entries if not _is_hidden(entry.name))
     except OSError as error:
         found, remedy = error.strerror or str(error), "check the path and who may read it"
         raise InputError(folder, "", found, "a folder that can be listed", remedy, "unreadable") from error
+
+
+def _is_hidden(name: str) -> bool:
+    return name.startswith(".") or name.lower() in _SYSTEM_FILES
 
 
 def _what(entry: os.DirEntry[str]) -> str:
@@ -229,7 +234,7 @@ def _files(folder: Path) -> dict[str, dict[str, Path]]:
             remedy = "put the file itself there, or remove it"
             raise InputError(folder / name, "", found_as, "a file of a trial", remedy, "no_file")
         trial, suffix = os.path.splitext(name)
-        kind = _KIND_OF.get(suffix)
+        kind = _KIND_OF.get(suffix.lower())
         if kind is not None and found_as == _FOLDER:
             remedy = "put the file itself there, or rename the folder"
             raise InputError(folder / name, "", _FOLDER, f"a {kind}", remedy, "no_file")

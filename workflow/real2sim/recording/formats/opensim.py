@@ -15,7 +15,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.files import write_text
-from real2sim.recording.formats.recordings import CoordinateRecording, Finding, StorageRecording
+from real2sim.recording.formats.recordings import CoordinateRecording, Finding, Length, StorageRecording
 from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
 
 PELVIS_COORDINATES = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
@@ -82,7 +82,8 @@ def read_coordinates(path: Path) -> CoordinateRecording:
     if in_degrees:
         columns = {k: v if is_translation(k) else np.radians(v) for k, v in columns.items()}
     _check_knee(path, columns, findings)
-    return CoordinateRecording(storage.time_s, columns, findings)
+    declared = storage.header.get("nrows", storage.header.get("datarows", ""))
+    return CoordinateRecording(storage.time_s, columns, findings, Length.of(declared, len(storage.time_s)))
 
 
 def read_storage(path: Path) -> StorageRecording:

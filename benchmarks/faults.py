@@ -33,8 +33,8 @@ from real2sim.recording.formats.detect import read_markerless
 from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording
 from real2sim.recording.quality import markers
 from real2sim.recording.quality.gates import judge, session_of
-from real2sim.recording.quality.measure import Measured, RawTrial, measure
-from real2sim.recording.quality.stage import raw_trial
+from real2sim.recording.quality.measure import Measured, RawTrial, find_exchanges, measure
+from real2sim.recording.quality.stage import note_copies, raw_trial, signatures_of
 from real2sim.recording.quality.verdict import Gate
 from real2sim.recording.subjects import read_subject
 from real2sim.verification.phantom.cohort import write_subject
@@ -98,6 +98,8 @@ def load(raw: Path, sealed: Path, name: str) -> People:
     reference = markers.reference_distances(trials["neutral"].recording.positions)
     out = People(name, trials, clocks, reference, truth["marker_noise_sd_m"])
     out.measured = {trial: _measure(out, one) for trial, one in trials.items()}
+    find_exchanges(trials, out.measured, reference, CONFIG["quality"], CONFIG["ingest"])
+    note_copies(out.measured, signatures_of(trials, person.trials), CONFIG["quality"])
     return out
 
 
@@ -299,6 +301,43 @@ def rate(person: People, rng: np.random.Generator) -> Case:
     return Case("wrong rate", _seen(gates, "rate", "robot_drift"), detail)
 
 
+# -------------------- trials that are not what their name says
+
+
+def stretched(person: People, rng: np.random.Generator) -> Case:
+    trial = _trial(person, rng)
+    factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.02, 0.2)
+    positions = {name: factor * values for name, values in trial.recording.positions.items()}
+    _, gates = _judged(person, _with_positions(trial, positions))
+    return Case("scale of the markers", _seen(gates, "scale"), f"{trial.name} x {factor:.3f}")
+
+
+def restless(person: People, rng: np.random.Generator) -> Case:
+    trial = person.raw["neutral"]
+    frames = len(trial.recording.time_s)
+    way = np.interp(np.arange(frames), np.sort(rng.uniform(0, frames - 1, 2)), [0.0, 1.0])[:, None]
+    direction = rng.standard_normal(3) * [1, 1, 0.3]
+    size = 10 ** rng.uniform(np.log10(0.03), np.log10(0.3))
+    shift = size * direction / np.linalg.norm(direction)
+    positions = {name: values + way * shift for name, values in trial.recording.positions.items()}
+    _, gates = _judged(person, _with_positions(trial, positions))
+    return Case("moving neutral", _seen(gates, "still"), f"{1e3 * size:.0f} mm")
+
+
+def exchanged(person: People, rng: np.random.Generator) -> Case:
+    trial = _trial(person, rng, ("dynamic",))
+    other = person.raw[{"dynamic_1": "dynamic_2", "dynamic_2": "dynamic_1"}[trial.name]]
+    robot = bool(rng.random() < 0.5)
+    mixed = replace(trial, log=other.log) if robot else replace(trial, coordinates=other.coordinates)
+    measured, raw = person.measured | {trial.name: _measure(person, mixed)}, person.raw | {trial.name: mixed}
+    find_exchanges(raw, measured, person.reference, CONFIG["quality"], CONFIG["ingest"])
+    gates = verdicts(replace_people(person, measured), {}, trial.name)
+    gate = gates["robot_pair" if robot else "markerless_pair"]
+    return Case(
+        "file of another trial", gate.verdict == "refuse", f"{trial.name} {gate.gate}: {gate.message}"
+    )
+
+
 KINDS: tuple[Callable[[People, np.random.Generator], Case], ...] = (
     sync_robot,
     sync_markerless,
@@ -310,6 +349,9 @@ KINDS: tuple[Callable[[People, np.random.Generator], Case], ...] = (
     rotated,
     units,
     rate,
+    stretched,
+    restless,
+    exchanged,
 )
 
 

@@ -251,6 +251,66 @@ QualityNoiseSettings = TypedDict(
     },
 )
 
+QualityLengthSettings = TypedDict(
+    "QualityLengthSettings",
+    {
+        "warn": float,
+        "refuse": float,
+    },
+)
+
+QualityStillSettings = TypedDict(
+    "QualityStillSettings",
+    {
+        "band_hz": float,
+        "range_m": float,
+        "range_deg": float,
+        "warn": float,
+        "refuse": float,
+    },
+)
+
+QualitySameSettings = TypedDict(
+    "QualitySameSettings",
+    {
+        "least_difference": float,
+    },
+)
+
+QualityExchangedSettings = TypedDict(
+    "QualityExchangedSettings",
+    {
+        "suspect": float,
+        "certainty_sd": float,
+    },
+)
+
+QualityRobotPairSettings = TypedDict(
+    "QualityRobotPairSettings",
+    {
+        "least_motion_m": float,
+        "warn": float,
+        "refuse": float,
+    },
+)
+
+QualityMarkerlessPairSettings = TypedDict(
+    "QualityMarkerlessPairSettings",
+    {
+        "least_motion_m": float,
+        "warn": float,
+        "refuse": float,
+    },
+)
+
+QualityScaleSettings = TypedDict(
+    "QualityScaleSettings",
+    {
+        "warn": float,
+        "refuse": float,
+    },
+)
+
 QualitySettings = TypedDict(
     "QualitySettings",
     {
@@ -272,6 +332,13 @@ QualitySettings = TypedDict(
         "excitation": QualityExcitationSettings,
         "limits": QualityLimitsSettings,
         "noise": QualityNoiseSettings,
+        "length": QualityLengthSettings,
+        "still": QualityStillSettings,
+        "same": QualitySameSettings,
+        "exchanged": QualityExchangedSettings,
+        "robot_pair": QualityRobotPairSettings,
+        "markerless_pair": QualityMarkerlessPairSettings,
+        "scale": QualityScaleSettings,
     },
 )
 

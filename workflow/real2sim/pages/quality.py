@@ -70,7 +70,7 @@ def _row(axes: Any, row: int, columns: list[str], about: dict[str, Any]) -> None
         if gate is None:
             continue
         verdict = gate["verdict"]
-        unknown = verdict == "pass" and gate["value"] is None and name != "readable"
+        unknown = verdict == "pass" and gate["value"] is None and name not in ("readable", "same")
         face = "#F2F2F2" if unknown else _FACES[verdict]
         axes.add_patch(Rectangle((column, row), 1, 1, facecolor=face, edgecolor="white", linewidth=1))
         letter = "\N{EN DASH}" if unknown else verdict[0].upper()

@@ -36,7 +36,11 @@ _TRIAL = re.compile(
 )
 _SUBJECT_ID = re.compile(r"[A-Za-z0-9]+")
 _FILE, _FOLDER = "a file", "a folder"
-_SYSTEM_FILES = ("thumbs.db", "ehthumbs.db", "desktop.ini")  # what Windows puts into folders of its own accord
+_SYSTEM_FILES = (
+    "thumbs.db",
+    "ehthumbs.db",
+    "desktop.ini",
+)  # what Windows puts into folders of its own accord
 _NOT_TRIALS = ("README.md", "README.txt")  # may lie beside the subjects and in their folders
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.files import write_text
-from real2sim.recording.formats.recordings import CoordinateRecording, Finding, StorageRecording
+from real2sim.recording.formats.recordings import CoordinateRecording, Finding, Length, StorageRecording
 from real2sim.recording.formats.text import (
     cells_of,
     divide_by_tabs,
@@ -117,7 +117,9 @@ def read_coordinates(
             severity, action = "warning", "taken as rotations in degrees"
         findings.append(Finding("coordinate_kind", severity, path.name, "", message, action))
     _check_knee(path, columns, findings)
-    return CoordinateRecording(storage.time_s, columns, findings, in_degrees, unknown)
+    declared = storage.header.get("nrows", storage.header.get("datarows", ""))
+    length = Length.of(declared, len(storage.time_s))
+    return CoordinateRecording(storage.time_s, columns, findings, in_degrees, unknown, length)
 
 
 def read_storage(path: Path) -> StorageRecording:

@@ -15,7 +15,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.files import write_text
-from real2sim.recording.formats.recordings import BodyRecording, Event, Finding, MarkerRecording
+from real2sim.recording.formats.recordings import BodyRecording, Event, Finding, Length, MarkerRecording
 from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
 
 MM_PER_M = 1000.0
@@ -96,7 +96,8 @@ def read_markers(path: Path) -> MarkerRecording:
     frames, time_s, rate = _clock(path, header, leading, table, rows)
     positions = _positions(path, table[:, len(leading) :], markers, findings)
     time_s, positions = _fill_frames(path, frames, time_s, positions, findings)
-    return MarkerRecording(time_s, rate, positions, int(frames[0]), findings, events)
+    length = Length.of(header.get("NO_OF_FRAMES", [""])[0], len(rows))
+    return MarkerRecording(time_s, rate, positions, int(frames[0]), findings, events, length=length)
 
 
 def data_included(path: Path) -> str:

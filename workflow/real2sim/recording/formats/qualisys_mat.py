@@ -17,7 +17,7 @@ from real2sim.errors import InputError
 from real2sim.recording.formats.c3d import unique_names
 from real2sim.recording.formats.mat5 import variables
 from real2sim.recording.formats.qualisys import MM_PER_M, finding, known_positions
-from real2sim.recording.formats.recordings import Event, Finding, MarkerRecording
+from real2sim.recording.formats.recordings import Event, Finding, Length, MarkerRecording
 from real2sim.recording.formats.text import read_bytes
 
 _EXPORT = "in QTM choose File > Export > To MAT, or To TSV with the data type 3D"
@@ -89,7 +89,7 @@ def _recording(path: Path, root: dict[str, Any]) -> MarkerRecording:
     if not 0 < rate < 1e6 or start != round(start) or abs(start) > 2**31:
         found = f"FrameRate {rate:g}, StartFrame {start:g}"
         raise InputError(path, "", found, "a rate, and a whole frame number", _EXPORT, "rate")
-    _check_frames(path, root, frames, findings)
+    length = _check_frames(path, root, frames, findings)
     names = unique_names(path, [str(label).strip() for label in labels], "Labels", findings)
     missing = _types(path, labeled, (len(labels), frames), findings) == _MISSING
     blocks.transpose(0, 2, 1)[missing] = np.nan
@@ -100,13 +100,18 @@ def _recording(path: Path, root: dict[str, Any]) -> MarkerRecording:
     residuals = {name: blocks[i, 3].copy() for i, name in enumerate(names)}
     time_s = (start - 1 + np.arange(frames)) / rate
     events = _events(path, root, findings)
-    return MarkerRecording(time_s, rate, positions, int(start), findings, events, residuals)
+    return MarkerRecording(time_s, rate, positions, int(start), findings, events, residuals, length)
 
 
-def _check_frames(path: Path, root: dict[str, Any], frames: int, findings: list[Finding]) -> None:
-    if "Frames" in root and _number(path, root, "Frames") != frames:
-        message = f"{_number(path, root, 'Frames'):g} declared, {frames} there"
+def _check_frames(path: Path, root: dict[str, Any], frames: int, findings: list[Finding]) -> Length | None:
+    """Return the length of the recording, None where no number of frames is declared; report a wrong one."""
+    if "Frames" not in root:
+        return None
+    declared = _number(path, root, "Frames")
+    if declared != frames:
+        message = f"{declared:g} declared, {frames} there"
         findings.append(finding("count", "warning", path, "Frames", message))
+    return Length(int(declared), frames)
 
 
 def _types(path: Path, labeled: Any, shape: tuple[int, int], findings: list[Finding]) -> np.ndarray:

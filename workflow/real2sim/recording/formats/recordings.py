@@ -24,6 +24,20 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Length:
+    """Rows of a file: ``declared`` in its header and ``found`` below it."""
+
+    declared: int
+    found: int
+
+    @classmethod
+    def of(cls, declared: str, found: int) -> Length | None:
+        """Return the length of a file by the text of its header; None where that is no count."""
+        text = declared.strip()
+        return cls(int(text), found) if text.isascii() and text.isdigit() and len(text) < 10 else None
+
+
+@dataclass(frozen=True)
 class Event:
     """A mark that the operator set, on the clock [s] of the original recording."""
 
@@ -37,7 +51,8 @@ class MarkerRecording:
 
     ``time_s`` (n,) is the exporter's own clock [s]; ``positions`` maps a marker name to (n, 3) [m], NaN where
     the marker is missing; ``rate_hz`` is the declared rate; ``first_frame`` the exporter's number of row 0.
-    ``residual_m`` maps a marker name to (n,) [m] where the format carries residuals.
+    ``residual_m`` maps a marker name to (n,) [m] where the format carries residuals; ``length`` is None where the
+    header declares no number of frames.
     """
 
     time_s: np.ndarray
@@ -47,6 +62,7 @@ class MarkerRecording:
     findings: list[Finding] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     residual_m: dict[str, np.ndarray] = field(default_factory=dict)
+    length: Length | None = None
 
 
 @dataclass
@@ -86,7 +102,8 @@ class CoordinateRecording:
     """OpenSim coordinates on their own clock: ``columns`` maps a name to (n,) [rad or m].
 
     ``in_degrees`` says that the file has degrees; ``unknown`` are the columns whose name does not tell whether they
-    are rotations, which they are taken for, or translations.
+    are rotations, which they are taken for, or translations. ``length`` is None where the header declares no number of
+    rows.
     """
 
     time_s: np.ndarray
@@ -94,6 +111,7 @@ class CoordinateRecording:
     findings: list[Finding] = field(default_factory=list)
     in_degrees: bool = False
     unknown: list[str] = field(default_factory=list)
+    length: Length | None = None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.qualisys import finding, known_positions
-from real2sim.recording.formats.recordings import Finding, MarkerRecording
+from real2sim.recording.formats.recordings import Finding, Length, MarkerRecording
 from real2sim.recording.formats.text import (
     cells_of,
     divide_by_tabs,
@@ -55,7 +55,8 @@ def read_landmarks(path: Path) -> MarkerRecording:
     rate = _rate(path, header, frames, time_s, findings)
     scale = _scale(path, header)
     positions = known_positions(path, table[:, 2:].reshape(len(rows), -1, 3) / scale, names, findings)
-    return MarkerRecording(time_s.copy(), rate, positions, int(frames[0]), findings)
+    length = Length.of(header.get("numframes", ""), len(rows))
+    return MarkerRecording(time_s.copy(), rate, positions, int(frames[0]), findings, length=length)
 
 
 def _header(path: Path, lines: list[str]) -> tuple[int, dict[str, str]]:

@@ -8,7 +8,7 @@ overlap, to get Qualisys time; a drift d means that the other clock runs (1 - d)
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -33,7 +33,9 @@ class ClockFit:
     """Offset [s] at ``middle_s``, drift [s/s], their standard errors, SD of the residual [m], coordinates used.
 
     ``ground`` (3, 3) turns the other system's ground frame into the world; ``ground_sd`` [rad] of its three angles.
-    ``seconds`` of motion are what the errors rest on: as many independent pieces.
+    ``seconds`` of motion are what the errors rest on: as many independent pieces. ``scale`` is the length of the
+    markers' motion over that of the other system's, with its standard error, infinite where it was not estimated.
+    ``by_second`` (k, 2) has each second of the markers' time and the mean square of its residual [m^2].
     """
 
     offset_s: float
@@ -45,6 +47,9 @@ class ClockFit:
     ground: np.ndarray
     ground_sd: np.ndarray
     seconds: int
+    scale: float = 1.0
+    scale_sd: float = float("inf")
+    by_second: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def certainty(self, normal_sd: float) -> float:
         """Standard errors that are as rare as ``normal_sd`` of a normal distribution: Student's t, seconds - 2.
@@ -75,7 +80,7 @@ def pool(values: Iterable[float], errors: Iterable[float]) -> Pooled | None:
     return Pooled(mean, float(np.sqrt(max(1.0, excess) / weight.sum())), len(x))
 
 
-def _solve(jacobian: np.ndarray, residual: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solve(jacobian: np.ndarray, residual: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares step and variances: the larger of the white and the clustered estimate, per parameter."""
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-30)
     design = jacobian / scale
@@ -130,46 +135,95 @@ def _increasing(time_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     return time_s[keep], values[keep].astype(float)
 
 
+@dataclass
+class _Geometry:
+    """What is constant between robot and markers: marker = ground (path + base · mount + arm · place) + shift.
+
+    ``scale`` stretches the path about ``centre`` (3,) [m]; all lengths in metres.
+    """
+
+    ground: np.ndarray
+    centre: np.ndarray
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    mount: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    place: np.ndarray = field(default_factory=lambda: np.zeros((2, 3)))
+    scale: float = 1.0
+
+    def move(self, step: np.ndarray) -> None:
+        """Add a Gauss-Newton step (18,) of which the first two are time."""
+        self.ground = Rotation.from_rotvec(step[2:5]).as_matrix() @ self.ground
+        self.shift, self.mount = self.shift + step[5:8], self.mount + step[8:11]
+        self.place = self.place + step[11:17].reshape(2, 3)
+        self.scale += float(step[17])
+
+
 def robot_clock(
-    time_s: np.ndarray, left: np.ndarray, right: np.ndarray, log: RobotLog, *, offset_s: float
+    time_s: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    log: RobotLog,
+    *,
+    offset_s: float,
+    scaled: bool = False,
 ) -> ClockFit | None:
     """Clock and floor of the robot by the two interface markers (n, 3) [m], raw, NaN where missing.
 
     The markers are rigid to the end of the chain base x, y, yaw, lift, roll, pitch:
     marker = ground (path + base · mount + arm · place) + shift, all four unknown constants, so no geometry of the
-    robot is assumed. None where less than a second is in common.
+    robot is assumed. With ``scaled`` the path's length is a further unknown: only base and lift carry metres, as the
+    places on the robot are free. None where less than a second is in common.
     """
     arm = _Arm.of(log)
     points = np.stack([left, right], axis=1)
-    ground, shift = np.eye(3), np.zeros(3)
-    mount, place = np.zeros(3), np.zeros((2, 3))
-    drift, sd = 0.0, np.full(5, np.inf)
+    drift, sd = 0.0, np.full(18, np.inf)
     inside = (time_s - offset_s >= arm.start_s + 0.3) & (time_s - offset_s <= arm.end_s - 0.3)
     good = inside & np.isfinite(points).all(axis=(1, 2))
     if good.sum() < 100:
         return None
     t, points = time_s[good], points[good]
     middle, cluster = float(t.mean()), np.floor((t - t[0]) / _CLUSTER_S).astype(int)
-    ground = _first_ground(arm, t - offset_s, points)
+    path = arm.at(t - offset_s)[0]
+    geometry = _Geometry(_first_ground(arm, t - offset_s, points), path.mean(axis=0))
     residual = np.zeros(0)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(2 * _ITERATIONS if scaled else _ITERATIONS):
         own = np.clip(t - offset_s - drift * (t - middle), arm.start_s, arm.end_s)
-        residual, jacobian = _robot_system(arm, own, t - middle, points, ground, shift, mount, place)
+        residual, jacobian = _robot_system(arm, own, t - middle, points, geometry)
         # the first rounds settle the geometry, or a wrong mount would look like time
-        columns = np.arange(17) if iteration > 1 else np.arange(2, 17)
-        step = np.zeros(17)
-        step[columns], variance = _solve(jacobian[:, columns], residual, np.repeat(cluster, 6))
+        columns = np.arange(0 if iteration > 1 else 2, 18 if scaled and iteration > 1 else 17)
+        settled = not scaled or iteration > _ITERATIONS // 2  # while walking, a drift looks like a scale
+        columns = columns if settled else columns[columns != 1]
+        step = np.zeros(18)
+        step[columns], variance = solve(jacobian[:, columns], residual, np.repeat(cluster, 6))
         offset_s += float(np.clip(step[0], -0.1, 0.1))
         drift += float(step[1])
-        ground = Rotation.from_rotvec(step[2:5]).as_matrix() @ ground
-        shift, mount, place = shift + step[5:8], mount + step[8:11], place + step[11:17].reshape(2, 3)
-        if len(columns) == 17:
-            sd = np.sqrt(variance[:5])
-            if abs(step[0]) < _CONVERGED_S and abs(step[1]) < 1e-8:
+        geometry.move(step)
+        if iteration > 1:
+            sd[columns] = np.sqrt(variance)
+            if settled and abs(step[0]) < _CONVERGED_S and abs(step[1]) < 1e-8:
                 break
     rms = float(np.sqrt(np.mean(residual**2)))
     seconds = len(np.unique(cluster))
-    return ClockFit(offset_s, float(sd[0]), drift, float(sd[1]), middle, rms, ground, sd[2:5], seconds)
+    return ClockFit(
+        offset_s,
+        float(sd[0]),
+        drift,
+        float(sd[1]),
+        middle,
+        rms,
+        geometry.ground,
+        sd[2:5],
+        seconds,
+        geometry.scale,
+        float(sd[17]),
+        mean_squares(t, residual.reshape(-1, 6)),
+    )
+
+
+def mean_squares(time_s: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return each second of ``time_s`` (n,) and the mean square of ``residual`` (n, k) in it, shape (seconds, 2)."""
+    second, index = np.unique(np.floor(time_s), return_inverse=True)
+    total = np.bincount(index, weights=np.mean(residual**2, axis=1))
+    return np.column_stack([second, total / np.bincount(index)])
 
 
 def _first_ground(arm: _Arm, own: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -186,23 +240,21 @@ def _robot_system(
     own: np.ndarray,
     centred: np.ndarray,
     points: np.ndarray,
-    ground: np.ndarray,
-    shift: np.ndarray,
-    mount: np.ndarray,
-    place: np.ndarray,
+    geometry: _Geometry,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (6n,) and Jacobian (6n, 17) by offset, drift, ground, shift, mount and the two places."""
+    """Residuals (6n,) and Jacobian (6n, 18) by offset, drift, ground, shift, mount, the two places and scale."""
+    ground, shift = geometry.ground, geometry.shift
 
     def chain(times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         path, base, turned, _ = arm.at(times)
-        reached = path + base @ mount
-        return reached[:, None] + np.einsum("nij,kj->nki", turned, place), base, turned
+        reached = path + (geometry.scale - 1) * (path - geometry.centre) + base @ geometry.mount
+        return reached[:, None] + np.einsum("nij,kj->nki", turned, geometry.place), base, turned
 
     local, base, turned = chain(own)
     slope = (chain(own + 1e-4)[0] - chain(own - 1e-4)[0]) / 2e-4
     moved = local @ ground.T
     n = len(own)
-    jacobian = np.zeros((n, 2, 3, 17))
+    jacobian = np.zeros((n, 2, 3, 18))
     jacobian[..., 0] = -slope @ ground.T
     jacobian[..., 1] = jacobian[..., 0] * centred[:, None, None]
     jacobian[..., 2:5] = -_cross(moved)
@@ -210,7 +262,8 @@ def _robot_system(
     jacobian[..., 8:11] = (ground @ base)[:, None]
     for k in range(2):
         jacobian[:, k, :, 11 + 3 * k : 14 + 3 * k] = ground @ turned
-    return (moved + shift - points).ravel(), jacobian.reshape(6 * n, 17)
+    jacobian[..., 17] = ((arm.at(own)[0] - geometry.centre) @ ground.T)[:, None]
+    return (moved + shift - points).ravel(), jacobian.reshape(6 * n, 18)
 
 
 def _cross(v: np.ndarray) -> np.ndarray:

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from real2sim import geometry, signals
-from real2sim.recording.quality import clocks
+from real2sim.recording.quality import clocks, identity
 from real2sim.recording.quality.markers import RIGID_PAIRS
 from real2sim.recording.quality.measure import Measured
-from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size, worst
+from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size, sized_gate, worst
 from real2sim.recording.subjects import parse_trial
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ GATES = (
     "excitation",
     "limits",
     "noise",
+    *identity.GATES,
 )
 _ROUNDS = 20  # of alternating means
 _ENOUGH = 3  # trials of which a median says something
@@ -161,30 +162,7 @@ def judge(
             out.append(_limits(q, limits, settings["limits"]))
     if m.kind == "neutral":
         out.append(_noise(m, settings, ingest, scales))
-    return out
-
-
-def _gate(
-    gate: str,
-    value: float | None,
-    unit: str,
-    settings: Mapping[str, Any] | None,
-    message: str,
-    remedy: str,
-    *,
-    verdict: str | None = None,
-    interval: list[float] | None = None,
-    key: str = "",
-) -> Gate:
-    key = key or gate
-    threshold = [float(settings[key]["warn"]), float(settings[key]["refuse"])] if settings else None
-    if value is not None and not np.isfinite(value):
-        value = None
-    if verdict is None:
-        verdict = PASS if value is None or threshold is None else by_size(value, threshold)
-    return Gate(
-        gate, verdict, value, unit, threshold, message, remedy, interval, f"quality.{key}" if settings else ""
-    )
+    return out + identity.judge(m, settings)
 
 
 def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings) -> Gate:
@@ -193,7 +171,7 @@ def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings
     share = {name: m.complete.get(name, 0.0) for name in wanted}
     worst_marker = min(share, key=share.__getitem__)
     listed = ", ".join(f"{name} {100 * s:.1f} %" for name, s in share.items() if s < 1)
-    return _gate(
+    return sized_gate(
         "completeness",
         share[worst_marker],
         "1",
@@ -206,10 +184,10 @@ def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings
 
 def _gaps(m: Measured, settings: QualitySettings) -> Gate:
     if not m.gaps:
-        return _gate("gaps", 0.0, "s", settings, "no gap", "")
+        return sized_gate("gaps", 0.0, "s", settings, "no gap", "")
     longest = max(m.gaps, key=lambda gap: gap.stop - gap.start)
     length = (longest.stop - longest.start) / m.rate.declared
-    return _gate(
+    return sized_gate(
         "gaps",
         length,
         "s",
@@ -220,20 +198,20 @@ def _gaps(m: Measured, settings: QualitySettings) -> Gate:
 
 
 def _rigid(m: Measured, settings: QualitySettings) -> Gate:
-    size = np.abs(m.departures - m.skin)
+    size = np.abs(m.rigid.departures - m.rigid.skin)
     seen = np.isfinite(size).any(axis=0)
     if not seen.any():
-        return _gate("rigid", None, "m", settings, "no two markers of a body are seen at once", "")
+        return sized_gate("rigid", None, "m", settings, "no two markers of a body are seen at once", "")
     per_pair = np.full(size.shape[1], np.nan)
     per_pair[seen] = np.nanpercentile(size[:, seen], 99, axis=0)
     pair = int(np.nanargmax(per_pair))
     a, b = RIGID_PAIRS[pair]
-    whole = float(np.nanmax(np.nanpercentile(np.abs(m.departures[:, seen]), 99, axis=0)))
+    whole = float(np.nanmax(np.nanpercentile(np.abs(m.rigid.departures[:, seen]), 99, axis=0)))
     limits = settings["rigid"]
     verdict = by_size(float(per_pair[pair]), [limits["warn"], limits["refuse"]])
     if whole >= limits["refuse"]:  # no skin slides that far
         verdict = worst([verdict, WARN])
-    return _gate(
+    return sized_gate(
         "rigid",
         float(per_pair[pair]),
         "m",
@@ -253,7 +231,7 @@ def _swaps(m: Measured) -> Gate:
     message = f"{spans}: exchanged back" if m.swaps else "no exchanged labels"
     verdict = WARN if m.swaps else PASS
     remedy = "Correct the labels in QTM and export again." if m.swaps else ""
-    return _gate("swaps", float(frames), "frames", None, message, remedy, verdict=verdict)
+    return sized_gate("swaps", float(frames), "frames", None, message, remedy, verdict=verdict)
 
 
 def _spikes(m: Measured, settings: QualitySettings) -> Gate:
@@ -263,7 +241,7 @@ def _spikes(m: Measured, settings: QualitySettings) -> Gate:
     verdict = REFUSE if share >= settings["spikes"]["refuse"] else WARN if count else PASS
     message = f"{count} samples stand out of their neighbours ({named})" if count else "no spike"
     remedy = "Delete the spikes in QTM and fill the gaps." if count else ""
-    return _gate("spikes", share, "1", settings, message, remedy, verdict=verdict)
+    return sized_gate("spikes", share, "1", settings, message, remedy, verdict=verdict)
 
 
 def _units(m: Measured, ingest: IngestSettings) -> Gate:
@@ -282,29 +260,29 @@ def _rate(m: Measured, settings: QualitySettings) -> Gate:
     off = abs(rate.by_time / rate.declared - 1) if rate.by_time is not None else 0.0
     if off >= limits["warn"]:
         message = f"the header declares {rate.declared:g} Hz, the Time column {rate.by_time:.4g} Hz"
-        return _gate("rate", off, "1", settings, message, remedy)
+        return sized_gate("rate", off, "1", settings, message, remedy)
     if rate.by_motion is None:
         message = f"{rate.declared:g} Hz declared; no common motion to check it by"
-        return _gate("rate", off if rate.by_time is not None else None, "1", settings, message, "")
+        return sized_gate("rate", off if rate.by_time is not None else None, "1", settings, message, "")
     off = abs(rate.by_motion / rate.declared - 1)
     if off == 0:
         message = (
             f"{rate.declared:g} Hz, as the other systems say (correlation {rate.correlation_declared:.2f})"
         )
-        return _gate("rate", 0.0, "1", settings, message, "")
+        return sized_gate("rate", 0.0, "1", settings, message, "")
     message = (
         f"the header declares {rate.declared:g} Hz, but the motion fits that of the other systems at "
         f"{rate.by_motion:.4g} Hz (correlation {rate.correlation:.2f} instead of {rate.correlation_declared:.2f})"
     )
-    return _gate("rate", off, "1", settings, message, remedy)
+    return sized_gate("rate", off, "1", settings, message, remedy)
 
 
 def _spacing(m: Measured, settings: QualitySettings) -> Gate:
     if not m.spacing:
-        return _gate("spacing", None, "s", settings, "no other system", "")
+        return sized_gate("spacing", None, "s", settings, "no other system", "")
     system = max(m.spacing, key=lambda name: m.spacing[name][1])
     sd, longest = m.spacing[system]
-    return _gate(
+    return sized_gate(
         "spacing",
         longest,
         "s",
@@ -326,13 +304,13 @@ def _robot_sync(m: Measured, settings: QualitySettings) -> Gate:
     fit = robot.clock
     if fit is None or fit.offset_sd_s > limits["certain_s"]:
         message = "too little motion to check the offset"
-        return _gate("robot_sync", None, "s", settings, message, "")
+        return sized_gate("robot_sync", None, "s", settings, message, "")
     start = fit.offset_s - fit.drift * fit.middle_s
     sd = float(np.hypot(fit.offset_sd_s, fit.drift_sd * fit.middle_s))
     span = _interval(start, sd)
     if robot.sync_s is None:
         message = f"offset {1e3 * start:.2f} ms by the motion, no /sync"
-        return _gate("robot_sync", None, "s", settings, message, "", interval=span)
+        return sized_gate("robot_sync", None, "s", settings, message, "", interval=span)
     off = start - robot.sync_s
     verdict = by_size(abs(off), [limits["warn"], limits["refuse"]]) if abs(off) > 4 * sd else PASS
     message = (
@@ -340,7 +318,7 @@ def _robot_sync(m: Measured, settings: QualitySettings) -> Gate:
         f"{1e3 * clocks.NORMAL_95 * sd:.2f} ms: {1e3 * off:+.2f} ms apart"
     )
     remedy = "" if verdict == PASS else "Check the wiring of /sync, or leave the topic out of the log."
-    return _gate(
+    return sized_gate(
         "robot_sync", off, "s", settings, message, remedy, verdict=verdict, interval=_interval(off, sd)
     )
 
@@ -354,7 +332,7 @@ def _drift_gate(
 ) -> Gate:
     limits = settings[gate]
     if own is None and pooled is None:
-        return _gate(gate, None, "ppm", settings, "too little motion", "")
+        return sized_gate(gate, None, "ppm", settings, "too little motion", "")
     candidates = []
     if pooled is not None:
         source = f"pooled over {pooled.trials} trials of the session"
@@ -381,7 +359,7 @@ def _drift_gate(
     )
     remedy = "" if verdict == PASS else f"Synchronise the {system} clock (NTP, PTP or a common trigger)."
     span = _interval(1e6 * value, 1e6 * sd)
-    return _gate(gate, 1e6 * value, "ppm", settings, message, remedy, verdict=verdict, interval=span)
+    return sized_gate(gate, 1e6 * value, "ppm", settings, message, remedy, verdict=verdict, interval=span)
 
 
 def _robot_drift(m: Measured, session: Session, settings: QualitySettings) -> Gate:
@@ -393,10 +371,10 @@ def _robot_residual(m: Measured, settings: QualitySettings) -> Gate:
     assert m.robot is not None
     fit = m.robot.clock
     if fit is None:
-        return _gate("robot_residual", None, "m", settings, "nothing in common with the robot log", "")
+        return sized_gate("robot_residual", None, "m", settings, "nothing in common with the robot log", "")
     message = f"interface markers and the robot's joints agree to {1e3 * fit.residual_m:.2f} mm RMS per axis"
     remedy = "Check that log and export belong to one trial, and that the markers sit on the interface."
-    return _gate("robot_residual", fit.residual_m, "m", settings, message, remedy)
+    return sized_gate("robot_residual", fit.residual_m, "m", settings, message, remedy)
 
 
 def _markerless_sync(m: Measured, settings: QualitySettings) -> Gate:
@@ -405,16 +383,16 @@ def _markerless_sync(m: Measured, settings: QualitySettings) -> Gate:
     if fit is None:
         if m.kind == "neutral":
             message = "quiet standing: nothing to synchronise by, starts laid on each other"
-            return _gate("markerless_sync", None, "s", settings, message, "", verdict=PASS)
+            return sized_gate("markerless_sync", None, "s", settings, message, "", verdict=PASS)
         message = (
             f"correlation of the pelvis speeds {m.markerless.correlation:.2f}: starts laid on each other"
         )
         remedy = "Check that both exports belong to one trial."
-        return _gate("markerless_sync", None, "s", settings, message, remedy, verdict=WARN)
+        return sized_gate("markerless_sync", None, "s", settings, message, remedy, verdict=WARN)
     half = clocks.NORMAL_95 * fit.offset_sd_s
     message = f"offset {1e3 * fit.offset_s:.1f} +- {1e3 * half:.1f} ms by the motion of the pelvis"
     remedy = "Record with a common trigger, or a trial with more motion."
-    return _gate(
+    return sized_gate(
         "markerless_sync",
         half,
         "s",
@@ -440,13 +418,13 @@ def _markerless_residual(m: Measured, settings: QualitySettings) -> Gate:
         "laid on each other"
     )
     remedy = "Check that both exports belong to one trial and one person, and their units."
-    return _gate("markerless_residual", space.rms_m, "m", settings, message, remedy)
+    return sized_gate("markerless_residual", space.rms_m, "m", settings, message, remedy)
 
 
 def _frame_robot(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     limits = settings["frame_robot"]
     if m.robot is None:
-        return _gate("frame_robot", None, "deg", settings, "no robot log", "")
+        return sized_gate("frame_robot", None, "deg", settings, "no robot log", "")
     parts = []
     fit = m.robot.clock
     if fit is not None and np.degrees(m.robot.floor_sd_rad) < limits["certain_deg"]:
@@ -459,18 +437,18 @@ def _frame_robot(m: Measured, session: Session, settings: QualitySettings) -> Ga
         )
     if not parts:
         message = "too little motion, or an odometry that starts anew in each trial"
-        return _gate("frame_robot", None, "deg", settings, message, "")
+        return sized_gate("frame_robot", None, "deg", settings, message, "")
     value = max(size for size, _ in parts)
     remedy = (
         "Calibrate Qualisys again with the L-frame level and along the robot, or correct ingest.lab_to_world."
     )
-    return _gate("frame_robot", value, "deg", settings, "; ".join(text for _, text in parts), remedy)
+    return sized_gate("frame_robot", value, "deg", settings, "; ".join(text for _, text in parts), remedy)
 
 
 def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) -> Gate:
     if m.name not in session.turned:
         message = "needs the markerless pelvis of at least three trials of the person"
-        return _gate("frame_markerless", None, "deg", settings, message, "")
+        return sized_gate("frame_markerless", None, "deg", settings, message, "")
     vector = np.degrees(session.turned[m.name])
     size = float(np.linalg.norm(vector))
     message = (
@@ -478,7 +456,7 @@ def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) 
         f"{np.hypot(vector[0], vector[1]):.2f} deg about a level axis from that in the person's other trials"
     )
     remedy = "Calibrate both systems again, or correct ingest.lab_to_world."
-    return _gate("frame_markerless", size, "deg", settings, message, remedy)
+    return sized_gate("frame_markerless", size, "deg", settings, message, remedy)
 
 
 # -------------------- what the interface sees
@@ -573,7 +551,7 @@ def noise_cost(sd_m: float, ingest: IngestSettings, scales: dict[str, float]) ->
 def _noise(m: Measured, settings: QualitySettings, ingest: IngestSettings, scales: dict[str, float]) -> Gate:
     sd = [m.noise_m[name] for name in geometry.INTERFACE_MARKERS if np.isfinite(m.noise_m.get(name, np.nan))]
     if not sd:
-        return _gate("noise", None, "1", settings, "no interface marker", "")
+        return sized_gate("noise", None, "1", settings, "no interface marker", "")
     level = float(np.sqrt(np.mean(np.square(sd))))
     cost = noise_cost(level, ingest, scales)
     message = (
@@ -584,4 +562,4 @@ def _noise(m: Measured, settings: QualitySettings, ingest: IngestSettings, scale
         if cost >= settings["noise"]["warn"]
         else ""
     )
-    return _gate("noise", cost, "1", settings, message, remedy)
+    return sized_gate("noise", cost, "1", settings, message, remedy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from real2sim import geometry, signals
 from real2sim.recording import alignment
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES
-from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
-from real2sim.recording.quality import clocks, markers
+from real2sim.recording.formats.recordings import CoordinateRecording, Length, MarkerRecording, RobotLog
+from real2sim.recording.quality import clocks, markers, pairing, sameness, scale, standing
 from real2sim.recording.subjects import parse_trial
 
 if TYPE_CHECKING:
@@ -61,6 +62,8 @@ class Markerless:
     space: alignment.SpaceFit
     clock: clocks.ClockFit | None
     pairs: tuple[np.ndarray, np.ndarray]
+    shared: pairing.Shared | None = None
+    scale: scale.ScaleFit | None = None
 
 
 @dataclass
@@ -72,6 +75,30 @@ class Robot:
     clock: clocks.ClockFit | None
     heading_rad: float
     floor_sd_rad: float
+    shared: pairing.Shared | None = None
+    scale: scale.ScaleFit | None = None
+
+
+@dataclass
+class Rigid:
+    """Departures (n, 7) [m] of the rigid distances after swaps and spikes, and what sliding skin explains of them."""
+
+    departures: np.ndarray
+    skin: np.ndarray
+
+
+@dataclass
+class Identity:
+    """What says whether a trial is what its name says.
+
+    ``lengths`` and ``exchanged`` are by system: ``markers``, ``markerless``, ``robot log``. ``same`` names trials of
+    the person that are the same recording.
+    """
+
+    lengths: dict[str, Length]
+    sway: standing.Sway | None = None
+    exchanged: dict[str, pairing.Exchanged] = field(default_factory=dict)
+    same: list[sameness.Same] = field(default_factory=list)
 
 
 @dataclass
@@ -87,21 +114,32 @@ class Measured:
     gaps: list[markers.Gap]
     swaps: list[markers.Swap]
     spikes: dict[str, int]
-    departures: np.ndarray  # (n, 7) after swaps and spikes
-    skin: np.ndarray  # (n, 7) what sliding skin explains of them
+    rigid: Rigid
+    identity: Identity
     noise_m: dict[str, float]
     spacing: dict[str, tuple[float, float]] = field(default_factory=dict)  # SD [s], longest gap [s] by system
     robot: Robot | None = None
     markerless: Markerless | None = None
 
 
-def measure(
-    trial: RawTrial, reference: np.ndarray, settings: QualitySettings, ingest: IngestSettings
-) -> Measured:
-    """All figures of a trial; ``reference`` (7,) are the rigid distances of quiet standing [m]."""
-    recording = trial.recording
-    frames, rate = len(recording.time_s), recording.rate_hz
-    time_s = (recording.first_frame - 1 + np.arange(frames)) / rate
+def marker_clock(recording: MarkerRecording) -> np.ndarray:
+    """Times (n,) [s] of a recording: frame 1 is time 0, also of a cropped export."""
+    return (recording.first_frame - 1 + np.arange(len(recording.time_s))) / recording.rate_hz
+
+
+@dataclass
+class _Cleaned:
+    """Markers by our names (n, 3) [m] after exchanged labels were exchanged back and spikes left out."""
+
+    used: dict[str, np.ndarray]
+    positions: dict[str, np.ndarray]
+    swaps: list[markers.Swap]
+    spikes: dict[str, int]
+
+
+def _cleaned(
+    recording: MarkerRecording, reference: np.ndarray, settings: QualitySettings, ingest: IngestSettings
+) -> _Cleaned:
     used = {name: recording.positions[name] for name in markers.MARKERS if name in recording.positions}
     swaps = markers.find_swaps(
         used,
@@ -113,6 +151,18 @@ def measure(
     found = {name: markers.spikes(values, settings["spikes"]["height_m"]) for name, values in clean.items()}
     for name, rows in found.items():
         clean[name][rows] = np.nan
+    return _Cleaned(used, clean, swaps, {name: len(rows) for name, rows in found.items()})
+
+
+def measure(
+    trial: RawTrial, reference: np.ndarray, settings: QualitySettings, ingest: IngestSettings
+) -> Measured:
+    """All figures of a trial; ``reference`` (7,) are the rigid distances of quiet standing [m]."""
+    recording = trial.recording
+    frames, rate = len(recording.time_s), recording.rate_hz
+    time_s = marker_clock(recording)
+    cleaned = _cleaned(recording, reference, settings, ingest)
+    used, clean = cleaned.used, cleaned.positions
     cloud = np.concatenate(list(used.values()))
     seen = cloud[signals.known(cloud)]
     extent = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
@@ -127,12 +177,14 @@ def measure(
         extent,
         {name: float(signals.known(values).mean()) for name, values in used.items()},
         markers.find_gaps(used),
-        swaps,
-        {name: len(rows) for name, rows in found.items()},
-        departures,
-        markers.skin(departures, rotation),
+        cleaned.swaps,
+        cleaned.spikes,
+        Rigid(departures, markers.skin(departures, rotation)),
+        Identity(_lengths(trial)),
         {name: markers.noise_sd(values) for name, values in clean.items()},
     )
+    if out.kind == "neutral":
+        out.identity.sway = standing.sway(pelvis, clean, rate, settings["still"]["band_hz"])
     if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
         out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
         out.robot = _robot(trial.log, time_s, clean, ingest)
@@ -141,6 +193,67 @@ def measure(
         out.markerless = _markerless(trial.coordinates, pelvis, ingest)
     _rate_by_motion(out, trial, pelvis, clean, time_s, settings["rate"])
     return out
+
+
+def _lengths(trial: RawTrial) -> dict[str, Length]:
+    both = {
+        "markers": trial.recording.length,
+        "markerless": trial.coordinates.length if trial.coordinates is not None else None,
+    }
+    return {system: length for system, length in both.items() if length is not None}
+
+
+def find_exchanges(
+    trials: dict[str, RawTrial],
+    measured: dict[str, Measured],
+    reference: np.ndarray,
+    settings: QualitySettings,
+    ingest: IngestSettings,
+) -> None:
+    """Note, in ``measured``, trials whose robot log or markerless file fits another trial of the person better.
+
+    Only trials are compared whose residual is ``quality.exchanged.suspect`` times the person's smallest of that
+    system, as each comparison takes as long as a measurement. Quiet standing cannot be told apart.
+    """
+    limits = settings["exchanged"]
+    moving = [name for name, m in measured.items() if m.kind != "neutral"]
+    for system in ("robot log", "markerless"):
+        known = {name: shared for name in moving if (shared := _shared(measured[name], system)) is not None}
+        least = min((shared.residual_m for shared in known.values()), default=np.inf)
+        for name, own in known.items():
+            if own.residual_m < limits["suspect"] * least:
+                continue
+            trial = trials[name]
+            clean = _cleaned(trial.recording, reference, settings, ingest).positions
+            others = [other for other in moving if other != name]
+            fit = partial(_lay, system, trial, clean, trials, ingest)
+            found = pairing.find_better(own, others, fit, limits["certainty_sd"])
+            if found is not None:
+                measured[name].identity.exchanged[system] = found
+
+
+def _shared(m: Measured, system: str) -> pairing.Shared | None:
+    other = m.robot if system == "robot log" else m.markerless
+    return other.shared if other is not None else None
+
+
+def _lay(
+    system: str,
+    trial: RawTrial,
+    clean: dict[str, np.ndarray],
+    trials: dict[str, RawTrial],
+    ingest: IngestSettings,
+    other: str,
+) -> pairing.Shared | None:
+    """What the markers of a trial share with the robot log or markerless file of another."""
+    log, coordinates, time_s = trials[other].log, trials[other].coordinates, marker_clock(trial.recording)
+    if system == "robot log":
+        return _robot(log, time_s, clean, ingest).shared if log is not None else None
+    if coordinates is None or not set(PELVIS_COORDINATES) <= set(coordinates.columns):
+        return None
+    pelvis = _pelvis_path(time_s, clean, trial.recording.rate_hz, ingest)
+    found = _markerless(coordinates, pelvis, ingest)
+    return found.shared if found is not None else None
 
 
 def _column_rate(recording: MarkerRecording) -> float | None:
@@ -213,7 +326,12 @@ def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], inge
     phasor = np.exp(1j * (angles[:, 0] - np.interp(time_s - offset, grid, theirs[:, 0])))
     heading = float(np.angle(np.nanmean(phasor))) if np.isfinite(phasor).any() else float("nan")
     floor = float(np.max(fit.ground_sd[:2])) if fit is not None else float("inf")
-    return Robot(sync, correlation, fit, heading, floor)
+    left, right = (clean[name] for name in geometry.INTERFACE_MARKERS)
+    scaled = clocks.robot_clock(time_s, left, right, log, offset_s=offset, scaled=True)
+    # markers of another scale still belong to their log
+    closer = scaled if fit is None or (scaled is not None and scaled.residual_m < fit.residual_m) else fit
+    shared = pairing.robot_shared(closer, time_s, np.hstack([left, right]))
+    return Robot(sync, correlation, fit, heading, floor, shared, scale.robot_scale(scaled))
 
 
 def _robot_clock(
@@ -260,7 +378,9 @@ def _markerless(
     if moving:
         clock = clocks.markerless_clock(pelvis, other, space, offset_s=time_fit.offset_s)
     at = clock.offset_s if clock is not None else time_fit.offset_s
-    return Markerless(correlation, time_fit, space, clock, _pairs(pelvis, other, at))
+    shared = pairing.markerless_shared(pelvis, other, space, at)
+    metres = scale.markerless_scale(pelvis, other, space.rotation, at) if moving else None
+    return Markerless(correlation, time_fit, space, clock, _pairs(pelvis, other, at), shared, metres)
 
 
 def _closed(values: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -13,13 +13,15 @@ import numpy as np
 from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
+from real2sim.provenance import sha256
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
-from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording
+from real2sim.recording.formats.recordings import CoordinateRecording
 from real2sim.recording.ingest import ingest_trial, lab_to_world
 from real2sim.recording.pose_table import read_pose
-from real2sim.recording.quality import clocks, markers
+from real2sim.recording.quality import clocks, markers, sameness
 from real2sim.recording.quality.gates import GATES, Session, judge, session_of
-from real2sim.recording.quality.measure import Measured, RawTrial, measure
+from real2sim.recording.quality.identity import same_gate
+from real2sim.recording.quality.measure import Measured, RawTrial, find_exchanges, measure
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, worst
 from real2sim.recording.subjects import Subject, TrialFiles, parse_trial, read_subject
 
@@ -68,9 +70,9 @@ def raw_trial(
     markerless = read_markerless(files.markerless)
     return RawTrial(
         name,
-        MarkerRecording(recording.time_s, recording.rate_hz, world, recording.first_frame),
+        replace(recording, positions=world, findings=[], events=[], residual_m={}),
         markerless if isinstance(markerless, CoordinateRecording) else None,
-        read_log(files.log) if files.log is not None else None,
+        read_log(files.log, settings["robot_log"]["stamps"]) if files.log is not None else None,
     )
 
 
@@ -145,7 +147,7 @@ def quality_subject(
     limits, ingest = settings["quality"], settings["ingest"]
     overrides = _overrides(person, limits["override"])
     q, refused = _tables(person, ingest)
-    measured, unreadable = _measure_all(person, limits, ingest)
+    measured, signatures, unreadable = _measure_all(person, limits, ingest)
     session = session_of(list(measured.values()))
     bounds = _joint_limits(person, q)
     trials: dict[str, dict[str, Any]] = {}
@@ -168,6 +170,7 @@ def quality_subject(
             "verdict": verdict,
             "override": overrides.get(name),
             "gates": [{"gate": g.gate, "trial": name} | asdict(g) for g in gates],
+            "signature": signatures[name].packed() if name in signatures else None,
         }
     write_json(
         out / "gates.json",
@@ -223,7 +226,8 @@ def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
 
 def _measure_all(
     person: Subject, limits: QualitySettings, ingest: IngestSettings
-) -> tuple[dict[str, Measured], dict[str, InputError]]:
+) -> tuple[dict[str, Measured], dict[str, sameness.Signature], dict[str, InputError]]:
+    """Figures and signatures of all trials of a person that can be read, and why the others cannot."""
     trials: dict[str, RawTrial] = {}
     unreadable: dict[str, InputError] = {}
     for name, files in person.trials.items():
@@ -233,9 +237,35 @@ def _measure_all(
             unreadable[name] = error
     standing = trials.get("neutral") or next(iter(trials.values()), None)
     if standing is None:
-        return {}, unreadable
+        return {}, {}, unreadable
     reference = markers.reference_distances(standing.recording.positions)
-    return {name: measure(trial, reference, limits, ingest) for name, trial in trials.items()}, unreadable
+    measured = {name: measure(trial, reference, limits, ingest) for name, trial in trials.items()}
+    find_exchanges(trials, measured, reference, limits, ingest)
+    signatures = signatures_of(trials, person.trials)
+    note_copies(measured, signatures, limits)
+    return measured, signatures, unreadable
+
+
+def signatures_of(
+    trials: Mapping[str, RawTrial], files: Mapping[str, TrialFiles]
+) -> dict[str, sameness.Signature]:
+    """Return the signature of each trial, by its recordings and the hashes of its files."""
+    out = {}
+    for name, trial in trials.items():
+        own = files[name]
+        by_kind = {"markers": own.markers, "markerless": own.markerless, "robot log": own.log}
+        hashes = {kind: sha256(path) for kind, path in by_kind.items() if path is not None}
+        out[name] = sameness.signature(trial.recording.positions, trial.recording.rate_hz, hashes)
+    return out
+
+
+def note_copies(
+    measured: Mapping[str, Measured], signatures: Mapping[str, sameness.Signature], settings: QualitySettings
+) -> None:
+    """Note, in both of ``measured``, trials of one person that are the same recording."""
+    for same in sameness.find_same(signatures, settings["same"]["least_difference"]):
+        for name in (same.first, same.second):
+            measured[name].identity.same.append(same)
 
 
 def _session(session: Session) -> dict[str, Any]:
@@ -256,7 +286,8 @@ def _session(session: Session) -> dict[str, Any]:
 def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) -> None:
     """One row per person, trial and gate; ``settings`` is the slice ``quality``.
 
-    Raises InputError where the configuration overrides a person that is not there.
+    Raises InputError where the configuration overrides a person that is not there, or where trials of two people are
+    the same recording and neither is overridden.
     """
     people = [read_json(path, ("subject", "trials", "phantom")) for path in gates]
     known = {content["subject"] for content in people}
@@ -266,17 +297,63 @@ def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) ->
             raise InputError(
                 "config/config.yaml", "key quality.override", key, expected, "Correct the name, or remove it."
             )
+    shared = _same_across_people(people, settings)
     rows = []
     for content in people:
         for trial, about in content["trials"].items():
-            for gate in about["gates"]:
-                low, high = gate["interval"] or (None, None)
-                warn, refuse = gate["threshold"] or (None, None)
-                overridden = gate["verdict"] == REFUSE and about["override"] is not None
-                rows.append(
-                    gate
-                    | {"subject": content["subject"], "trial": trial, "phantom": content["phantom"]}
-                    | {"interval_low": low, "interval_high": high, "warn": warn, "refuse": refuse}
-                    | {"overridden": overridden}
-                )
+            name = f"{content['subject']}/{trial}"
+            found = [shared[name] if g["gate"] == "same" and name in shared else g for g in about["gates"]]
+            about_trial = {"subject": content["subject"], "trial": trial, "phantom": content["phantom"]}
+            rows += [
+                _table_row(gate, overridden=about["override"] is not None) | about_trial for gate in found
+            ]
     write_table(out, COLUMNS, rows)
+
+
+def _table_row(gate: dict[str, Any], *, overridden: bool) -> dict[str, Any]:
+    low, high = gate["interval"] or (None, None)
+    warn, refuse = gate["threshold"] or (None, None)
+    return gate | {
+        "interval_low": low,
+        "interval_high": high,
+        "warn": warn,
+        "refuse": refuse,
+        "overridden": gate["verdict"] == REFUSE and overridden,
+    }
+
+
+def _same_across_people(people: list[dict[str, Any]], settings: QualitySettings) -> dict[str, dict[str, Any]]:
+    """Gate ``same`` of overridden trials that are the same recording as one of another person, by <SUBJECT>/<TRIAL>.
+
+    Raises InputError, with all pairs, where neither of two such trials is overridden.
+    """
+    signatures = {
+        f"{content['subject']}/{trial}": sameness.Signature.unpacked(about["signature"])
+        for content in people
+        for trial, about in content["trials"].items()
+        if about.get("signature") is not None
+    }
+    pairs = [(a, b) for a, b in sameness.near(signatures) if a.partition("/")[0] != b.partition("/")[0]]
+    found = sameness.find_same(signatures, settings["same"]["least_difference"], pairs)
+    accepted = set(settings["override"])
+    wrong = [f"{s.first} and {s.second}" for s in found if not {s.first, s.second} & accepted]
+    if wrong:
+        subject, _, trial = wrong[0].rpartition(" ")[2].partition("/")
+        listed = "; ".join(wrong[:8]) + (f"; and {len(wrong) - 8} more" if len(wrong) > 8 else "")
+        remedy = (
+            "Put the right export in place, or exclude one of each two in subject.yaml, or accept it by name: "
+            f'quality.override: {{"{subject}/{trial}": "<reason>"}}'
+        )
+        raise InputError(
+            f"results/quality/{subject}/gates.json",
+            f"trial {trial}, gate same",
+            f"trials of two people that are the same recording: {listed}",
+            "a recording of its own for each trial",
+            remedy,
+        )
+    out = {}
+    for same in found:
+        for name, other in ((same.first, same.second), (same.second, same.first)):
+            if name in accepted:
+                out[name] = asdict(same_gate(other, same.ratio, same.file))
+    return out

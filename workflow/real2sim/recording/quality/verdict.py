@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from real2sim.artefacts import read_json
 from real2sim.errors import InputError
 
@@ -41,6 +43,34 @@ def by_size(value: float, threshold: list[float]) -> str:
     if sign * value >= sign * refuse:
         return REFUSE
     return WARN if sign * value >= sign * warn else PASS
+
+
+def sized_gate(
+    gate: str,
+    value: float | None,
+    unit: str,
+    settings: Mapping[str, Any] | None,
+    message: str,
+    remedy: str,
+    *,
+    verdict: str | None = None,
+    interval: list[float] | None = None,
+    key: str = "",
+) -> Gate:
+    """Return a gate with its thresholds, judged by the size of ``value`` unless ``verdict`` says otherwise.
+
+    ``settings`` is the slice ``quality`` of the configuration, None for a gate without thresholds; ``key`` is the
+    gate's name there where it differs. Nothing measured (None, not finite) passes.
+    """
+    key = key or gate
+    threshold = [float(settings[key]["warn"]), float(settings[key]["refuse"])] if settings else None
+    if value is not None and not np.isfinite(value):
+        value = None
+    if verdict is None:
+        verdict = PASS if value is None or threshold is None else by_size(value, threshold)
+    return Gate(
+        gate, verdict, value, unit, threshold, message, remedy, interval, f"quality.{key}" if settings else ""
+    )
 
 
 def require(gates: Sequence[Path], trial: str) -> dict[str, list[str]]:

@@ -1,0 +1,199 @@
+"""Whether two trials are one recording: copies share the noise of the cameras, two recordings never do."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.signal import fftconvolve, find_peaks
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from real2sim import geometry, signals
+
+_RATE_HZ = 20.0  # of the stored path
+_BAND_HZ = 2.0  # of the stored path: no filter of a lab reaches down to here
+_EDGE_S = 0.75  # where the filter has only one side
+_UNIT_M = 1e-6  # of the stored path
+_LEAST = 40  # samples in common, two seconds
+_ALIKE = 0.9  # correlation of the speeds below which two paths are not laid on each other
+_CANDIDATES = 6  # maxima that are tried: gait repeats itself
+_HOPELESS = 200.0  # difference over noise at a whole sample that no fraction of a sample explains
+_KEPT = 0.98  # of the second differences: gaps and spikes are in the rest
+_ROUNDS = 3  # of leaving out what does not fit
+_MEDIAN_CHI2 = 0.4549  # of one degree of freedom
+_NEAR_M = 0.004  # copies have the distances of their pelvis markers in common
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What a copy of a recording has in common with it.
+
+    ``path`` (n, 3) [m] is the mean of the pelvis' markers below 2 Hz at 20 Hz, ``noise_m`` the SD per axis of the
+    white noise that is in it, ``shape`` (6,) [m] the median distances of the markers; ``files`` maps the kind of a file
+    to its SHA-256.
+    """
+
+    path: np.ndarray
+    noise_m: float
+    shape: np.ndarray
+    files: dict[str, str]
+
+    def packed(self) -> dict[str, Any]:
+        """Return the signature as JSON: the path as compressed steps of a micrometre."""
+        steps = np.diff(np.rint(self.path / _UNIT_M).astype("<i4"), axis=0, prepend=0)
+        text = base64.b64encode(zlib.compress(np.ascontiguousarray(steps.T, "<i4").tobytes(), 9)).decode()
+        shape = [float(x) if np.isfinite(x) else None for x in self.shape]
+        return {"path": text, "noise_m": self.noise_m, "shape_m": shape, "files": self.files}
+
+    @classmethod
+    def unpacked(cls, content: Mapping[str, Any]) -> Signature:
+        """Return the signature that `packed` wrote."""
+        steps = np.frombuffer(zlib.decompress(base64.b64decode(content["path"])), "<i4").reshape(3, -1).T
+        shape = np.array([np.nan if x is None else x for x in content["shape_m"]])
+        path = np.cumsum(steps.astype(np.int64), axis=0) * _UNIT_M
+        return cls(path, content["noise_m"], shape, dict(content["files"]))
+
+
+@dataclass(frozen=True)
+class Same:
+    """Two trials that are one recording: difference of their paths over that of two recordings of one motion [1].
+
+    ``file`` is the kind of file that both have byte for byte, empty where it was not copied as it is.
+    """
+
+    first: str
+    second: str
+    ratio: float
+    file: str = ""
+
+
+def signature(positions: dict[str, np.ndarray], rate_hz: float, files: dict[str, str]) -> Signature:
+    """Return the signature of a trial by its markers: names to (n, 3) [m], NaN where missing."""
+    there = [positions[name] for name in geometry.PELVIS_MARKERS if name in positions]
+    points = np.stack(there, axis=1) if there else np.zeros((0, 0, 3))
+    good = np.asarray(np.isfinite(points).all(axis=(1, 2)) if there else np.zeros(0, bool))
+    shape = np.full(6, np.nan)
+    if len(there) == len(geometry.PELVIS_MARKERS) and good.any():
+        pairs = list(combinations(range(len(there)), 2))
+        shape = np.array(
+            [np.median(np.linalg.norm(points[good, a] - points[good, b], axis=1)) for a, b in pairs]
+        )
+    edge, step = round(_EDGE_S * rate_hz), rate_hz / _RATE_HZ
+    if good.sum() < 2 * edge + 2 * rate_hz:
+        return Signature(np.zeros((0, 3)), 0.0, shape, files)
+    centre = points.mean(axis=1)
+    rows = np.arange(len(centre))
+    closed = np.column_stack([np.interp(rows, rows[good], column[good]) for column in centre.T])
+    slow = signals.lowpass(closed, rate_hz, _BAND_HZ, 4)
+    at = np.arange(edge, len(centre) - edge - 1, step)
+    path = CubicSpline(rows, slow)(at)
+    second = np.sort(np.diff(closed, 2, axis=0)[good[1:-1]] ** 2, axis=0)
+    white = float(np.sqrt(second[: round(_KEPT * len(second))].mean() / 6))
+    impulse = np.zeros(2 * round(4 * rate_hz) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    passed = float(np.sqrt(np.sum(signals.lowpass(impulse, rate_hz, _BAND_HZ, 4) ** 2)))
+    return Signature(path - path.mean(axis=0), white * passed, shape, files)
+
+
+def difference(a: Signature, b: Signature) -> float:
+    """Return the difference of two paths over that of two recordings of one motion [1].
+
+    Copies, also of a part, shifted, filtered, rounded or in other axes, give less than 1: they share the noise. Two
+    recordings give more than 1 whatever was done, as the noise of either is independent; they give infinity where the
+    speeds have too little in common to be laid on each other.
+    """
+    noise = max(a.noise_m, b.noise_m)
+    if min(len(a.path), len(b.path)) < _LEAST or not noise > 0:
+        return float("inf")
+    ours, theirs = (np.linalg.norm(np.gradient(x.path, axis=0), axis=1) for x in (a, b))
+    lags = _lags(ours, theirs)
+    spline, rows = CubicSpline(np.arange(len(b.path)), b.path), np.arange(len(a.path))
+
+    def apart(shift: float) -> float:
+        inside = (rows - shift >= 0) & (rows - shift <= len(b.path) - 1)
+        if inside.sum() < _LEAST:
+            return float("inf")
+        return _apart(a.path[inside], spline(rows[inside] - shift))
+
+    out = float("inf")
+    for lag in lags:
+        whole = apart(float(lag))
+        if whole > _HOPELESS * noise:
+            continue
+        best = minimize_scalar(
+            apart, bounds=(lag - 1.0, lag + 1.0), method="bounded", options={"xatol": 1e-3}
+        )
+        out = min(out, float(best.fun) / noise, whole / noise)
+    return out
+
+
+def _lags(x: np.ndarray, y: np.ndarray) -> list[int]:
+    """Lags [samples] of y (m,) in x (n,) at which Pearson's correlation over the overlap has a high maximum."""
+    n, m = len(x), len(y)
+    lags = np.arange(n + m - 1) - (m - 1)
+    count = np.minimum(n, m + lags) - np.maximum(0, lags)
+    ones_x, ones_y = np.ones(n), np.ones(m)
+    sum_x, sum_y = fftconvolve(x, ones_y), fftconvolve(ones_x, y[::-1])
+    power_x = fftconvolve(x * x, ones_y) - sum_x**2 / count
+    power_y = fftconvolve(ones_x, y[::-1] ** 2) - sum_y**2 / count
+    product = fftconvolve(x, y[::-1]) - sum_x * sum_y / count
+    floor = 1e-9 * np.sum(x * x) * np.sum(y * y)
+    value = product / np.sqrt(np.maximum(power_x * power_y, floor))
+    value[count < max(min(n, m) // 2, _LEAST)] = -1.0
+    peaks, _ = find_peaks(np.concatenate([[-1.0], value, [-1.0]]), height=_ALIKE)
+    order = np.argsort(value[peaks - 1])[::-1][:_CANDIDATES]
+    return [int(lags[i]) for i in peaks[order] - 1]
+
+
+def _apart(x: np.ndarray, y: np.ndarray) -> float:
+    """Robust SD per axis [m] of two paths (n, 3) laid on each other; gaps that one of them has filled do not count."""
+    use = np.ones(len(x), bool)
+    left = np.zeros_like(x)
+    for _ in range(_ROUNDS):
+        mean_x, mean_y = x[use].mean(axis=0), y[use].mean(axis=0)
+        turn, _ = Rotation.align_vectors(x[use] - mean_x, y[use] - mean_y)
+        left = x - mean_x - turn.apply(y - mean_y)
+        size = np.linalg.norm(left, axis=1)
+        use = size <= 2 * np.median(size)
+    return float(np.sqrt(np.median(left**2) / _MEDIAN_CHI2))
+
+
+def find_same(
+    signatures: Mapping[str, Signature], limit: float, pairs: Sequence[tuple[str, str]] | None = None
+) -> list[Same]:
+    """Return the pairs of trials that are one recording, by name.
+
+    ``limit`` [1] is the difference below which two paths are one; ``pairs`` are those to compare, all if None.
+    """
+    out = []
+    for first, second in pairs if pairs is not None else combinations(signatures, 2):
+        a, b = signatures[first], signatures[second]
+        twice = [kind for kind, digest in a.files.items() if b.files.get(kind) == digest]
+        ratio = 0.0 if "markers" in twice else difference(a, b)
+        if twice or ratio < limit:
+            out.append(Same(first, second, ratio, twice[0] if twice else ""))
+    return out
+
+
+def near(signatures: Mapping[str, Signature]) -> list[tuple[str, str]]:
+    """Return the pairs that can be one recording: a file in common, or pelvis markers as far from each other."""
+    names = list(signatures)
+    pairs: set[tuple[str, str]] = set()
+    seen: dict[str, list[str]] = {}
+    for name in names:
+        for digest in signatures[name].files.values():
+            pairs.update((before, name) for before in seen.setdefault(digest, []))
+            seen[digest].append(name)
+    known = [name for name in names if np.isfinite(signatures[name].shape).all()]
+    if known:
+        tree = cKDTree(np.array([signatures[name].shape for name in known]))
+        pairs.update((known[i], known[j]) for i, j in tree.query_pairs(_NEAR_M, p=np.inf))
+    return sorted(pairs)

@@ -317,7 +317,7 @@ def restless(person: People, rng: np.random.Generator) -> Case:
     frames = len(trial.recording.time_s)
     way = np.interp(np.arange(frames), np.sort(rng.uniform(0, frames - 1, 2)), [0.0, 1.0])[:, None]
     direction = rng.standard_normal(3) * [1, 1, 0.3]
-    size = 10 ** rng.uniform(np.log10(0.03), np.log10(0.3))
+    size = 10 ** rng.uniform(np.log10(0.04), np.log10(0.3))
     shift = size * direction / np.linalg.norm(direction)
     positions = {name: values + way * shift for name, values in trial.recording.positions.items()}
     _, gates = _judged(person, _with_positions(trial, positions))

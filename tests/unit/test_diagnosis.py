@@ -16,12 +16,16 @@ from real2sim.diagnosis.intervals import parameter_verdicts
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Trials, conclude, is_shown_by_held_out_alone, search_both_ways
-from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.effects import catalogue
+from real2sim.effects.catalogue import EFFECT_NAMES, Placed
 from real2sim.study.strap import strap_system
 from real2sim.verification.score import score_diagnosis
 
 from tests.unit.simulated_effects import SCALES, STRAP
 from tests.unit.test_coupling import CONFIG, ROBOT
+
+# Effects that the strap can have
+EFFECTS = tuple(effect for effect in catalogue.EFFECTS if effect.places(STRAP))
 
 
 def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Path) -> tuple[dict, Path]:

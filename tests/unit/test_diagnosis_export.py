@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from real2sim.diagnosis.answer import describe_model
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.effects import catalogue
 from real2sim.effects.base import CHAIN, NATIVE, NEUTRAL, PLANNED
-from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.effects.catalogue import Placed
 from real2sim.effects.planned import DrivenForce
 from real2sim.effects.replay import EffectReplay
 from real2sim.study.diagnosis_model import effects_of
@@ -20,6 +21,9 @@ from real2sim.system.export import baked, to_mjcf
 
 from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
 from tests.unit.test_coupling import PRIOR, ROBOT
+
+# Effects that the strap can have
+EFFECTS = tuple(effect for effect in catalogue.EFFECTS if effect.places(STRAP))
 
 LOOSE = replace(SCALES, q=SCALES.q / 5)  # whatever has a threshold is beyond it
 

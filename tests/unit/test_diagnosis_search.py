@@ -23,12 +23,25 @@ from real2sim.diagnosis.attribute import (
     _without_spikes,
 )
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
-from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, _fresh_starts, _parabola, _together
-from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.diagnosis.search import (
+    FAILED,
+    Pair,
+    Screened,
+    Search,
+    _carried_starts,
+    _fresh_starts,
+    _parabola,
+    _together,
+)
+from real2sim.effects import catalogue
+from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import STEP, Tangent
 
 from tests.unit.simulated_effects import SCALES, STRAP, about, placed_whole
 from tests.unit.test_coupling import CONFIG, PRIOR
+
+# Effects that the strap can have
+EFFECTS = tuple(effect for effect in catalogue.EFFECTS if effect.places(STRAP))
 
 
 def _tangent(z):
@@ -144,6 +157,22 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     assert not search.is_noise(plain)
     calm = Hypothesis((friction,), np.ones(13), (2900.0, 2900.0))
     assert search.excess(calm) == pytest.approx(40 / np.sqrt(2 * 5760))
+
+
+def test_constants_of_one_name_start_where_another_law_found_them():
+    """Dry friction of the EMPS starts from the force of the smooth law; what that does not have, from its own start."""
+    law = next(e for e in EFFECTS if e.name == "lugre")
+    placed = Placed(law, law.places(STRAP)[1], SCALES)
+    base, force = np.linspace(0, 1, 12), np.log(0.4)
+    z = _carried_starts(placed, base, {"force": force, "rate": -5.0})
+    assert np.array_equal(z[:, :12], np.tile(base, (len(z), 1)))
+    names = [parameter.name for parameter in law.parameters]
+    column = 12 + names.index("force")
+    assert np.allclose(z[:, column], force)
+    others = np.delete(z[:, 12:], names.index("force"), axis=1)
+    assert np.array_equal(others, np.delete(placed.starts(), names.index("force"), axis=1))
+    beyond = _carried_starts(placed, base, {"force": 99.0})
+    assert np.allclose(beyond[:, column], placed.bounds()[1][names.index("force")])
 
 
 def test_every_parameter_of_an_effect_is_free():
@@ -326,7 +355,7 @@ def test_one_law_takes_the_place_of_another_on_all_its_axes_at_once():
     )
 
     class Costs(_Stuck):
-        def fresh(self, effects, base):
+        def fresh(self, effects, base, near=None):
             start = effects[-1].starts()[0]
             friction = all(p.effect.name == "coulomb" for p in effects)
             return np.concatenate([base, start]), 100.0 if friction else 5000.0
@@ -350,7 +379,7 @@ def test_laws_that_the_tangent_promises_nothing_of_are_tried_on_the_axis_of_the_
     law = next(p for p in everything if p.key == "relaxation ty")
 
     class Costs(_Stuck):
-        def fresh(self, effects, base):
+        def fresh(self, effects, base, near=None):
             assert [p.where.axes for p in effects] == [(1,)]
             assert effects[0].key not in ("relaxation ty", "creep ty")
             return np.append(base, effects[0].starts()[0]), 100.0 if effects[0].key == "coulomb ty" else 900.0

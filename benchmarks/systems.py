@@ -3,8 +3,9 @@
     python benchmarks/systems.py --raw raw --rows systems.jsonl [--system cuff drba emps]
 
 For each system two records without an effect and at least six with one effect each, at the interface, in the machine
-and in the recording; the robot's are half as long and searched with fewer refits. Printed per case: the true effect, the verdict with its probability, and chi-squared over its
-expectation on the held-out record, without the effect and with it.
+and in the recording; the robot's are half as long and searched with fewer refits. Printed per case: the true effect,
+what is likeliest with its probability, and chi-squared over its expectation on the held-out record, without the effect
+and with it.
 
 Records that are there are kept, and so are finished rows: a run goes on where the last one stopped.
 """

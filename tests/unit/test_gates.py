@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from gate_person import CONFIG, SETTINGS, simulate_person
 from real2sim.artefacts import read_json, read_table
-from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.pages.quality import quality_figure
 from real2sim.recording.quality import clocks, markers
@@ -20,24 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
 
-CONFIG = validated({}, "config", Path("defaults"))
-SETTINGS = {
-    "quality": CONFIG["quality"],
-    "ingest": CONFIG["ingest"],
-    "scales": CONFIG["identification"]["scales"],
-}
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    source = faults.ROOT / "config" / "phantom.yaml"
-    phantom = validated(read_yaml(source), "phantom", source)
-    phantom["cohort"] = {"S01": phantom["cohort"]["S01"]}
-    phantom["cohort"]["S01"]["tightness"] = {"loosest_cm": 9, "tightest_cm": 11, "safe_comfortable_cm": 10}
-    phantom["trials"] |= {"dynamic_s": 20.0, "walk_s": 6.0, "walk_robot_trials": 1, "neutral_s": 5.0}
-    root = tmp_path_factory.mktemp("phantom")
-    faults.simulate(root, ["S01"], phantom)
-    return root
+    return simulate_person(tmp_path_factory.mktemp("phantom"), 20.0)
 
 
 @pytest.fixture(scope="module")

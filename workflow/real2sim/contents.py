@@ -1,4 +1,4 @@
-"""What files hold, as a fingerprint that does not ask their dates: one that was exchanged or restored is another."""
+"""Fingerprints of the contents of files, whatever their dates: a file that was exchanged or restored has another."""
 
 from __future__ import annotations
 

@@ -238,7 +238,7 @@ class DescribedTrial:
 
     @property
     def _starts_in_equilibrium(self) -> bool:
-        """Whether the machine's controllers balance the interface at the start, as they do where all stands still."""
+        """True where the controllers balance the interface at the start, as they do where all stands still."""
         return self._pose and self._still and any(j.impedance is not None for j in self._system.machine)
 
     def _start_weights(self) -> np.ndarray:

@@ -55,7 +55,7 @@ class InterfaceImpedance:
 
 @dataclass(frozen=True)
 class Where:
-    """Where an effect acts: axis indices of a system, a side (+1, -1, 0 for none), a variant; and whose place it is.
+    """Place of an effect: axis indices of a system, a side (+1, -1, 0 for none), a variant, and the effect's name.
 
     ``machine_joint`` is the joint of the machine that an effect of the machine acts on, empty for none.
     """

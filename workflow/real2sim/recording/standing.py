@@ -1,4 +1,4 @@
-"""What quiet standing says about the lab: which axis points up and which forward, which markers are left and right.
+"""Checks of a lab by quiet standing: the axes that point up and forward, and the left and right markers.
 
 In standing the ASIS and PSIS lie nearly in a horizontal plane, so that the z axis of the pelvis frame points up. The
 nearest lab axis is the lab's up axis unless left and right, or front and back, are exchanged among the four markers.

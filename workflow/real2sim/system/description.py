@@ -235,7 +235,7 @@ class System:
 
     @cached_property
     def offers(self) -> frozenset[str]:
-        """What effects may ask for (`Effect.needs`): how it is driven, which joints, markers and axes there are.
+        """Properties that effects may need (`Effect.needs`): the kind of drive, joints, markers and axes.
 
         A base of three joints and its arm are told by these; the joints of any other machine one by one.
         """

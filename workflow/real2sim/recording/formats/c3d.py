@@ -141,7 +141,7 @@ def _texts(groups: _Groups, group: str, name: str) -> list[str]:
 
 @dataclass(frozen=True)
 class _Extent:
-    """Where the data lie by the header.
+    """Layout of the data by the header.
 
     Points and analog words per frame, first frame, frames, offset [bytes], scale (< 0: floats), rate [Hz], analog
     samples of a channel per frame, and bytes of the file from the offset on.

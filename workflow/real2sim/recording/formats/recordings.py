@@ -116,7 +116,7 @@ class CoordinateRecording:
 
 @dataclass(frozen=True)
 class StampDelay:
-    """How much later than stamped the messages of a topic were logged [s].
+    """Delay of the messages of a topic, from their stamps to the log [s].
 
     ``median_s`` is log time less stamp, ``beyond_clock_s`` that less the offset of the stamps' clock from log time,
     ``spread_s`` what the delays vary from the 5th to the 95th percentile. ``other_clock`` says that the stamps come

@@ -137,7 +137,7 @@ def _increasing(time_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 @dataclass
 class _Geometry:
-    """What is constant between robot and markers: marker = ground (path + base · mount + arm · place) + shift.
+    """Constants between robot and markers: marker = ground (path + base · mount + arm · place) + shift.
 
     ``scale`` stretches the path about ``centre`` (3,) [m]; all lengths in metres.
     """

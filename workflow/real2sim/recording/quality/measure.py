@@ -14,7 +14,7 @@ from real2sim import geometry, signals
 from real2sim.recording import alignment
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES
 from real2sim.recording.formats.recordings import CoordinateRecording, Length, MarkerRecording, RobotLog
-from real2sim.recording.quality import clocks, markers, pairing, sameness, scale, standing
+from real2sim.recording.quality import clocks, markers, pairing, sameness, scale, stillness
 from real2sim.recording.subjects import parse_trial
 
 if TYPE_CHECKING:
@@ -89,14 +89,14 @@ class Rigid:
 
 @dataclass
 class Identity:
-    """What says whether a trial is what its name says.
+    """Evidence for or against a trial being what its name says.
 
     ``lengths`` and ``exchanged`` are by system: ``markers``, ``markerless``, ``robot log``. ``same`` names trials of
     the person that are the same recording.
     """
 
     lengths: dict[str, Length]
-    sway: standing.Sway | None = None
+    sway: stillness.Sway | None = None
     exchanged: dict[str, pairing.Exchanged] = field(default_factory=dict)
     same: list[sameness.Same] = field(default_factory=list)
 
@@ -184,7 +184,7 @@ def measure(
         {name: markers.noise_sd(values) for name, values in clean.items()},
     )
     if out.kind == "neutral":
-        out.identity.sway = standing.sway(pelvis, clean, rate, settings["still"]["band_hz"])
+        out.identity.sway = stillness.sway(pelvis, clean, rate, settings["still"]["band_hz"])
     if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
         out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
         out.robot = _robot(trial.log, time_s, clean, ingest)
@@ -245,7 +245,7 @@ def _lay(
     ingest: IngestSettings,
     other: str,
 ) -> pairing.Shared | None:
-    """What the markers of a trial share with the robot log or markerless file of another."""
+    """Motion that the markers of a trial share with the robot log or markerless file of another."""
     log, coordinates, time_s = trials[other].log, trials[other].coordinates, marker_clock(trial.recording)
     if system == "robot log":
         return _robot(log, time_s, clean, ingest).shared if log is not None else None

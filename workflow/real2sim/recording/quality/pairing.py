@@ -1,4 +1,4 @@
-"""Whether the files of a trial belong together: motion that two systems share, and files that fit another trial."""
+"""Tests that the files of a trial belong together: motion that two systems share, files that fit another trial."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether two trials are one recording: copies share the noise of the cameras, two recordings never do."""
+"""Tests that two trials are not one recording: copies share the noise of the cameras, two recordings never do."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NEAR_M = 0.004  # copies have the distances of their pelvis markers in common
 
 @dataclass(frozen=True)
 class Signature:
-    """What a copy of a recording has in common with it.
+    """Signature of a trial: the part of a recording that its copies have in common with it.
 
     ``path`` (n, 3) [m] is the mean of the pelvis' markers below 2 Hz at 20 Hz, ``noise_m`` the SD per axis of the
     white noise that is in it, ``shape`` (6,) [m] the median distances of the markers; ``files`` maps the kind of a file

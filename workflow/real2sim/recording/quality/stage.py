@@ -48,7 +48,7 @@ COLUMNS = (
 
 
 class GateSettings(TypedDict):
-    """What the gates of a person are judged with: slices of the configuration, and the scales of the cost."""
+    """Settings of the gates of a person: slices of the configuration, and the scales of the cost."""
 
     quality: QualitySettings
     ingest: IngestSettings

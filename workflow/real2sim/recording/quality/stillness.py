@@ -1,4 +1,4 @@
-"""How still a person stands in `neutral`: range of pelvis and interface below the band of measurement noise."""
+"""Sway of a person in `neutral`: range of pelvis and interface below the band of measurement noise."""
 
 from __future__ import annotations
 

@@ -119,9 +119,6 @@ def _scale(m: Measured, settings: QualitySettings) -> Gate:
     # the sharper of those that say so
     system = min((s for s in known if verdicts[s] == verdict), key=lambda s: known[s].half)
     value, half = 100 * (known[system].value - 1), 100 * known[system].half
-    if verdict == PASS and half > limits["refuse"]:
-        message = f"too little motion to compare metres by (+- {half:.1f} %)"
-        return sized_gate("scale", None, "%", settings, message, "")
     message = "; ".join(
         f"lengths of the markers are {100 * (fit.value - 1):+.2f} +- {100 * fit.half:.2f} % off those of the {name}"
         for name, fit in known.items()
@@ -136,7 +133,11 @@ def _scale(m: Measured, settings: QualitySettings) -> Gate:
 
 
 def _scales(m: Measured, settings: QualitySettings) -> dict[str, ScaleFit]:
-    """Scale against each system whose file belongs to the trial."""
+    """Scale against each system whose file belongs to the trial, and whose interval is narrower than the threshold.
+
+    A slope that is known to a third says nothing of a per cent: what soft tissue makes of little motion is not in its
+    interval.
+    """
     out = {}
     exchanged, robot, markerless = m.identity.exchanged, m.robot, m.markerless
     if robot is not None and robot.scale is not None and "robot log" not in exchanged:
@@ -145,7 +146,7 @@ def _scales(m: Measured, settings: QualitySettings) -> dict[str, ScaleFit]:
             out["robot"] = robot.scale
     if markerless is not None and markerless.scale is not None and "markerless" not in exchanged:
         out["markerless system"] = markerless.scale
-    return out
+    return {name: fit for name, fit in out.items() if 100 * fit.half <= settings["scale"]["refuse"]}
 
 
 def _sure(fit: ScaleFit) -> float:

@@ -110,7 +110,7 @@ class RandomForm(Form):
 
 @register
 class RandomElastic(RandomForm):
-    """Potential of one coordinate: the total stiffness falls by 90 % or the force triples at most."""
+    """Potential of one coordinate: the total stiffness falls by 90 % or the force becomes fourfold at most."""
 
     effect = form = "random_elastic"
     kinds: ClassVar[tuple[str, ...]] = ("elastic",)
@@ -134,13 +134,13 @@ class RandomElastic(RandomForm):
         which, count = draw.values["which"], draw.values["count"]
         function = {name: draw.values[name] for name in ("frequency", "phase", "amplitude")}
         reach = about.reach[which]
-        own = np.sqrt(about.stiffness[which] * reach**2)[:count]  # twice the root of the strap's own energy
+        own = np.sqrt(about.stiffness[which] * reach**2)[:count]  # root of twice the strap's own energy
         points = box(count, 3)
         bend = hessian(function, points)[:, :count, :count] / own / own[:, None]
         softest = float(np.linalg.eigvalsh(bend).min())
         slope = gradient(function, points)[:, :count] - gradient(function, np.zeros(3))[:count]
         strongest_pull = float(np.abs(slope / own**2).max())
-        energy = min(0.9 / max(-softest, 1e-6), 2.0 / max(strongest_pull, 1e-6))
+        energy = min(0.9 / max(-softest, 1e-6), 3.0 / max(strongest_pull, 1e-6))
         return {"which": which, "scale": reach, "energy": severity * energy, **function}
 
     def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
@@ -284,7 +284,7 @@ class RandomMemory(RandomForm):
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
         axis, tau = draw.values["axis"], draw.values["tau"]
-        branch = 3 * severity * about.stiffness[axis] * draw.values["share"]
+        branch = 6 * severity * about.stiffness[axis] * draw.values["share"]
         branch = passive_branches(branch, tau, float(about.stiffness[axis]), float(about.damping[axis]))
         return {"branch": np.outer(np.arange(6) == axis, branch), "tau": tau}
 
@@ -340,8 +340,8 @@ class RandomHysteresis(RandomForm):
 
 
 def _gained(rng: Generator) -> tuple[str, float]:
-    """What a gain acts on, and the largest one: of stiffness up to threefold, of damping up to fivefold."""
-    return ("q", 2.0) if rng.random() < 0.65 else ("v", 4.0)
+    """Draw what a gain acts on, and the largest: stiffness becomes fourfold, damping sevenfold at most."""
+    return ("q", 3.0) if rng.random() < 0.65 else ("v", 6.0)
 
 
 class _Gain(RandomForm):

@@ -238,13 +238,14 @@ def test_true_curve_is_the_force_of_the_law(name):
     for seed in range(40):
         form, draw = drawn(name, seed)
         law = form.law(draw)
-        if law.variable is not None:
+        if law.curves:
             break
     setup = setup_of(form, draw)
-    axis, on = AXES.index(law.variable[2:]), AXES.index(law.along)
-    rate = law.variable.startswith("v_")
+    ((variable, along),) = law.curves
+    axis, on = AXES.index(variable[2:]), AXES.index(along)
+    rate = variable.startswith("v_")
     visited = np.linspace(-1, 1, 50) * (ABOUT.speed if rate else REACH)[axis]
-    curve = curve_of(law, setup, visited)
+    curve = curve_of(variable, along, setup, visited)
     values = form.values(draw, 1.0, ABOUT)
     for x, force in list(zip(curve["grid"], curve["force"], strict=True))[::40]:
         state = np.zeros((2, 1, 6))
@@ -266,7 +267,7 @@ def test_true_curve_is_the_force_of_the_law(name):
 def test_true_curve_of_the_base_is_the_force_on_its_joint(name):
     form, draw = drawn(name, 3)
     law, setup = form.law(draw), setup_of(form, draw)
-    curve = curve_of(law, setup, np.linspace(-0.03, 0.03, 20))
+    curve = curve_of(*law.curves[0], setup, np.linspace(-0.03, 0.03, 20))
     joint = draw.values["joint"]
     joints, rates, force = setup.controller.start[None].copy(), np.zeros((1, 6)), np.zeros((1, 6))
     (joints if name == "random_base_place" else rates)[0, joint] += 0.03
@@ -402,7 +403,7 @@ def test_every_effect_of_the_catalogue_has_a_law_to_be_scored_against():
         law = library_law(name, stages[name], ["tx"] if name not in ("cross_coupling",) else ["tx", "ty"])
         assert law.stage == stages[name]
         if name == "slack":
-            assert (law.variable, law.along, law.depends_on) == ("q_tx", "tx", (("q_tx",),))
+            assert (law.curves, law.depends_on) == ((("q_tx", "tx"),), (("q_tx",),))
 
 
 # -------------------- score
@@ -413,16 +414,16 @@ TRUE_ELASTIC = {
     "axes": ["ty"],
     "kinds": ["elastic"],
     "depends_on": [["q_ty"]],
-    "variable": "q_ty",
-    "along": "ty",
     "kin": ["stiffening"],
-    "curve": {
-        "variable": "q_ty",
-        "along": "ty",
-        "grid": np.linspace(-0.04, 0.04, 201).tolist(),
-        "force": (-(np.linspace(-0.04, 0.04, 201) ** 2) * 3e4).tolist(),
-        "visited": [-0.03, 0.03],
-    },
+    "curves": [
+        {
+            "variable": "q_ty",
+            "along": "ty",
+            "grid": np.linspace(-0.04, 0.04, 201).tolist(),
+            "force": (-(np.linspace(-0.04, 0.04, 201) ** 2) * 3e4).tolist(),
+            "visited": [-0.03, 0.03],
+        }
+    ],
 }
 
 
@@ -448,22 +449,22 @@ def measured(slope=0.0, offset=0.0, size=1.0, width=1.0, **changes):
 
 
 def test_curve_is_judged_without_what_stiffness_absorbs():
-    exact = score_laws.judge_curve(TRUE_ELASTIC["curve"], measured(slope=300.0, offset=5.0)["curve"])
+    exact = score_laws.judge_curve(TRUE_ELASTIC["curves"], measured(slope=300.0, offset=5.0)["curve"])
     assert exact["inside"] == 1
     assert exact["error"] == pytest.approx(0, abs=5e-3)
-    half = score_laws.judge_curve(TRUE_ELASTIC["curve"], measured(size=0.5)["curve"])
+    half = score_laws.judge_curve(TRUE_ELASTIC["curves"], measured(size=0.5)["curve"])
     assert half["error"] == pytest.approx(0.5, abs=0.01)
     assert half["inside"] < 0.3
-    assert score_laws.judge_curve(TRUE_ELASTIC["curve"], None) is None
+    assert score_laws.judge_curve(TRUE_ELASTIC["curves"], None) is None
     elsewhere = measured()["curve"] | {"variable": "q_tx"}
-    assert score_laws.judge_curve(TRUE_ELASTIC["curve"], elsewhere) is None
+    assert score_laws.judge_curve(TRUE_ELASTIC["curves"], elsewhere) is None
 
 
 def test_curve_does_not_lie_in_a_band_that_does_not_reach_so_far():
     answer = measured()["curve"]
     keep = slice(35, None)  # the upper half of the range
     short = {k: v[keep] if isinstance(v, list) else v for k, v in answer.items()}
-    assert score_laws.judge_curve(TRUE_ELASTIC["curve"], short)["inside"] == pytest.approx(0.5, abs=0.01)
+    assert score_laws.judge_curve(TRUE_ELASTIC["curves"], short)["inside"] == pytest.approx(0.5, abs=0.01)
 
 
 def test_variables_are_right_where_the_named_ones_hold_the_true_ones():
@@ -477,7 +478,18 @@ def test_variables_are_right_where_the_named_ones_hold_the_true_ones():
     assert not holds({"history of pelvis_tilt"}, {"pelvis_tilt"})
 
 
-def _row(folder, name, stratum, effect, verdict, free_form=None, probability=0.95, j=0.2, law=TRUE_ELASTIC):
+def _row(
+    folder,
+    name,
+    stratum,
+    effect,
+    verdict,
+    free_form=None,
+    probability=0.95,
+    j=0.2,
+    law=TRUE_ELASTIC,
+    chi2=1500.0,
+):
     truth = {
         "id": name,
         "stratum": stratum,
@@ -492,7 +504,14 @@ def _row(folder, name, stratum, effect, verdict, free_form=None, probability=0.9
         "verdict": verdict,
         "verdict_set": [verdict],
         "probabilities": probabilities,
-        "gap": {"J_base": 1.0, "J_floor": 0.1, "J_with_effect": j},
+        "gap": {
+            "J_base": 1.0,
+            "J_floor": 0.1,
+            "J_with_effect": j,
+            "chi2_plain": [9000.0, 9000.0],
+            "chi2_best": [1440.0, chi2],
+            "chi2_expected": [1440, 1440],
+        },
         "noise_floor": {"J": 0.1, "ci95": [0.08, 0.12]},
         "considered": [{"effects": [verdict], "J": j}],
         "where": {"stage": "interface", "axes": {"ty": 1.0}, "regimes": []},
@@ -519,7 +538,7 @@ def test_score_of_unlisted_causes(tmp_path, capsys):
     posture_law = TRUE_ELASTIC | {
         "kinds": ["posture"],
         "depends_on": [["q_ty", "pelvis_tilt"]],
-        "curve": None,
+        "curves": [],
     }
     made = [
         _row(tmp_path, "C0001", "random_law", "random_elastic", UNKNOWN, measured()),
@@ -556,6 +575,18 @@ def test_score_of_unlisted_causes(tmp_path, capsys):
     suite_page(score=tmp_path / "score.json", out=page)
     assert "Causes that the catalogue does not hold" in page.read_text()
     assert "random gain posture" in page.read_text()
+
+
+def test_a_law_is_as_good_only_where_it_leaves_noise_in_chi_squared_too(tmp_path):
+    """A law of 295 standard deviations closed all of J, whose floor was above what it left."""
+    kin = ("random_law", "random_elastic", "stiffening")
+    rows = [
+        _row(tmp_path, f"C{i}", *kin, j=0.11, chi2=chi2) for i, chi2 in enumerate((1500.0, 2100.0, 4000.0))
+    ]
+    judged = [
+        score_laws.is_as_good({"case": truth, "answer": json.loads(path.read_text())}) for truth, path in rows
+    ]
+    assert judged == [True, True, False]
 
 
 def test_timing_left_out_may_be_found_in_either_chain(tmp_path):
@@ -596,7 +627,8 @@ def test_cases_reach_their_visibility_and_their_truth_states_the_law(tmp_path):
         assert case["visibility"]["predicted"] == pytest.approx(0.2, rel=0.15)
     cubic = cases["stiffening"]["effects"][0]
     law = cubic["law"]
-    if len(cubic["axes"]) == 1:
-        value = next(v for k, v in cubic["parameters"].items() if k.startswith("cubic"))
-        np.testing.assert_allclose(law["curve"]["force"], -value * np.array(law["curve"]["grid"]) ** 3)
+    assert [curve["along"] for curve in law["curves"]] == cubic["axes"]
+    for curve in law["curves"]:
+        value = next(v for k, v in cubic["parameters"].items() if k.startswith(f"cubic_{curve['along']}"))
+        np.testing.assert_allclose(curve["force"], -value * np.array(curve["grid"]) ** 3)
     assert cases["random_gain_place"]["effects"][0]["law"]["kinds"] == ["place"]

@@ -76,8 +76,10 @@ def answers_rightly(row: Row) -> bool:
 def is_as_good(row: Row) -> bool:
     """Return whether the verdict names a law of the true one's group, or kin of it, that closes as much.
 
-    What could be closed lies between the plain fit and the best set that the search refitted, or the upper end of the
-    noise floor's 95 % interval where that is lower; all J are of the trial that shows the gap.
+    It has to close it by both measures. J of the trial that shows the gap: from the plain fit to the best set that the
+    search refitted, or to the upper end of the noise floor's 95 % interval where that is lower. Chi-squared of both
+    trials: from the plain fit to its expectation. J alone knows its floor to some 10 %, and passes laws that leave
+    hundreds of standard deviations.
     """
     answer = row["answer"]
     if answer["verdict"] in (NONE, UNKNOWN) or answer["verdict"] not in _accepted(row["case"]):
@@ -85,7 +87,9 @@ def is_as_good(row: Row) -> bool:
     gap = answer["gap"]
     highest_floor = answer.get("noise_floor", {}).get("ci95", [gap["J_floor"]])[-1]
     least = min([highest_floor, *(h["J"] for h in answer.get("considered", []))])
-    return bool(gap["J_base"] - gap["J_with_effect"] >= AS_MUCH * (gap["J_base"] - least))
+    plain, best, expected = (sum(gap[f"chi2_{key}"]) for key in ("plain", "best", "expected"))
+    by_cost = gap["J_base"] - gap["J_with_effect"] >= AS_MUCH * (gap["J_base"] - least)
+    return bool(by_cost and plain - best >= AS_MUCH * (plain - expected))
 
 
 def _accepted(case: Row) -> set[str]:
@@ -155,7 +159,7 @@ def judge_law(row: Row) -> dict[str, Any]:
         else None,
         "kind": answer["kind"] in kinds if kinds else None,
         "closed": answer["gap_closed"],
-        "curve": judge_curve(laws[0].get("curve"), answer.get("curve")),
+        "curve": judge_curve(laws[0]["curves"], answer.get("curve")),
     }
 
 
@@ -189,17 +193,21 @@ def _meanings(variable: str) -> set[str]:
     return {variable, f"q_{turn}", f"v_{turn}"} if history else {variable}
 
 
-def judge_curve(true: Row | None, answer: Row | None) -> dict[str, float] | None:
+def judge_curve(curves: Sequence[Row], answer: Row | None) -> dict[str, float] | None:
     """Compare a measured curve with the true one, both without their best straight line over the range they share.
+
+    ``curves`` are those of the true law, of which the one over the answer's variable along its axis counts.
 
     Stiffness and damping of the plain plant absorb the straight line. ``inside``: share of the visited range (2.5th to
     97.5th percentile of the variable) over which the true curve lies in the 95 % band; what the answer's grid does not
-    cover lies outside. ``error``: RMS error of the mean over the RMS of the true curve. None where one of them has no
-    curve or they are over different variables or of different axes.
+    cover lies outside. ``error``: RMS error of the mean over the RMS of the true curve. None where the answer has no
+    curve, or the true law none over that variable along that axis.
     """
-    if not true or not answer or answer["variable"] != true["variable"]:
+    if not answer:
         return None
-    if str(true["along"]) not in answer.get("quantity", str(true["along"])):
+    same = [curve for curve in curves if curve["variable"] == answer["variable"]]
+    true = next((curve for curve in same if curve["along"] in answer["quantity"]), None)
+    if true is None:
         return None
     grid, mean, low, high = (np.asarray(answer[key], float) for key in ("grid", "mean", "low", "high"))
     first, last = true["visited"]

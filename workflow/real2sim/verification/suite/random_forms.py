@@ -96,13 +96,13 @@ class RandomForm(Form):
     def on_axes(self, axes: Any, depends_on: tuple[str, ...], variable: str | None = None) -> TrueLaw:
         """Law that acts on strap axes, by index; with a curve over ``variable`` where it is given."""
         names = tuple(AXES[i] for i in axes)
-        along = None if variable is None else names[0]
-        return TrueLaw(self.stage, names, self.kinds, (depends_on,), variable, along, self.kin)
+        curves = () if variable is None else ((variable, names[0]),)
+        return TrueLaw(self.stage, names, self.kinds, (depends_on,), curves, self.kin)
 
     def on_joint(self, joint: int, depends_on: tuple[str, ...], variable: str | None = None) -> TrueLaw:
         """Law that acts on a joint of the robot, by index."""
-        along = None if variable is None else JOINTS[joint]
-        return TrueLaw(self.stage, (JOINTS[joint],), self.kinds, (depends_on,), variable, along, self.kin)
+        curves = () if variable is None else ((variable, JOINTS[joint]),)
+        return TrueLaw(self.stage, (JOINTS[joint],), self.kinds, (depends_on,), curves, self.kin)
 
 
 # -------------------- interface: springs

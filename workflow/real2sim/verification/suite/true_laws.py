@@ -27,16 +27,15 @@ class TrueLaw:
     """One law as the score needs it.
 
     ``axes``: strap axes or robot joints that it acts on; ``kinds`` and ``depends_on``: answers that are right, of the
-    second each a set of variables; ``variable``: the one that the curve of its force along ``along`` is over, None
-    where there is no such curve; ``kin``: effects of the catalogue whose law may be as good.
+    second each a set of variables; ``curves``: (variable, axis or joint) of each force that is a function of that
+    variable alone; ``kin``: effects of the catalogue whose law may be as good.
     """
 
     stage: str
     axes: tuple[str, ...]
     kinds: tuple[str, ...]
     depends_on: tuple[tuple[str, ...], ...]
-    variable: str | None = None
-    along: str | None = None
+    curves: tuple[tuple[str, str], ...] = ()
     kin: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,13 +62,15 @@ def library_law(effect: str, stage: str, axes: list[str]) -> TrueLaw:
     """Return the law of an effect of the catalogue; empty kinds and variables where there is nothing to name."""
     place = (stage, tuple(axes))
     if effect in _ELASTIC:
-        curve = (f"q_{axes[0]}", axes[0]) if len(axes) == 1 and effect != "joint_limit" else (None, None)
-        return TrueLaw(*place, ("elastic",), _each("q_", axes), *curve)
+        # a stop has its force by its softness, which nothing in the motion shows
+        curves = () if effect == "joint_limit" else tuple((f"q_{axis}", axis) for axis in axes)
+        return TrueLaw(*place, ("elastic",), _each("q_", axes), curves)
     if effect in _BY_RATE:
-        curve = (f"v_{axes[0]}", axes[0]) if len(axes) == 1 and effect != "coulomb" else (None, None)
+        # dry friction sticks with an elastic deflection, so that its force is no function of the rate
+        curves = () if effect == "coulomb" else tuple((f"v_{axis}", axis) for axis in axes)
         kinds = ("dissipative", "hysteresis") if effect == "coulomb" else ("dissipative",)
         sets = _each("v_", axes) + (_each("history of q_", axes) if effect == "coulomb" else ())
-        return TrueLaw(*place, kinds, sets, *curve)
+        return TrueLaw(*place, kinds, sets, curves)
     if effect == "lugre":
         sets = _each("v_", axes) + _each("history of q_", axes)
         return TrueLaw(*place, ("dissipative", "hysteresis"), sets)
@@ -94,23 +95,21 @@ def library_law(effect: str, stage: str, axes: list[str]) -> TrueLaw:
     return TrueLaw(*place, (), ())
 
 
-def curve_of(law: TrueLaw, setup: Setup, visited: np.ndarray) -> dict[str, Any] | None:
-    """Return the law's force over its variable, as the simulation has it, or None where the law has no such curve.
+def curve_of(variable: str, along: str, setup: Setup, visited: np.ndarray) -> dict[str, Any]:
+    """Return the force of laws without memory along an axis or joint over a variable, as the simulation has it.
 
-    ``setup`` holds the law's terms alone, ``visited`` (n,) the values of the variable in the dynamic trials [SI].
-    ``curve`` is the law itself, ``total`` with the strap's own stiffness or damping where it acts on the same axis.
+    ``setup`` holds the laws' terms, ``visited`` (n,) the values of the variable in the dynamic trials [SI]. ``force``
+    is that of the laws, ``total`` with the strap's own stiffness or damping where they act on the same axis.
     """
-    if law.variable is None or law.along is None:
-        return None
     grid = np.linspace(visited.min(), visited.max(), _POINTS)
-    force = (_on_joint if law.along in JOINTS else _on_axis)(law, setup, grid)
+    force = (_on_joint if along in JOINTS else _on_axis)(variable, along, setup, grid)
     linear = 0.0
-    if law.variable[2:] == law.along:
-        axis = AXES.index(law.along)
-        linear = float((setup.stiffness if law.variable.startswith("q_") else setup.damping)[axis])
+    if variable[2:] == along:
+        axis = AXES.index(along)
+        linear = float((setup.stiffness if variable.startswith("q_") else setup.damping)[axis])
     return {
-        "variable": law.variable,
-        "along": law.along,
+        "variable": variable,
+        "along": along,
         "grid": grid.tolist(),
         "force": force.tolist(),
         "total": (force - linear * grid).tolist(),
@@ -118,26 +117,22 @@ def curve_of(law: TrueLaw, setup: Setup, visited: np.ndarray) -> dict[str, Any] 
     }
 
 
-def _on_axis(law: TrueLaw, setup: Setup, grid: np.ndarray) -> np.ndarray:
-    # laws without memory: one step of the term at every value
-    assert law.variable is not None
-    assert law.along is not None
+def _on_axis(variable: str, along: str, setup: Setup, grid: np.ndarray) -> np.ndarray:
+    # one step of each term at every value
     state = np.zeros((2, len(grid), 6))
-    state["qv".index(law.variable[0]), :, AXES.index(law.variable[2:])] = grid
+    state["qv".index(variable[0]), :, AXES.index(variable[2:])] = grid
     total = np.zeros(len(grid))
     for kind, values in setup.terms:
         if issubclass(kind, Term):
             term = kind(np.arange(len(grid)), 1e-3, [values] * len(grid))
-            total += term.force(*state)[:, AXES.index(law.along)]
+            total += term.force(*state)[:, AXES.index(along)]
     return total
 
 
-def _on_joint(law: TrueLaw, setup: Setup, grid: np.ndarray) -> np.ndarray:
-    assert law.variable is not None
-    assert law.along is not None
-    joint, n = JOINTS.index(law.along), len(grid)
+def _on_joint(variable: str, along: str, setup: Setup, grid: np.ndarray) -> np.ndarray:
+    joint, n = JOINTS.index(along), len(grid)
     places, rates, force = np.tile(setup.controller.start, (n, 1)), np.zeros((n, 6)), np.zeros((n, 6))
-    if law.variable in SPEEDS:
+    if variable in SPEEDS:
         rates[:, joint] = grid
     else:
         places[:, joint] += grid
@@ -145,5 +140,5 @@ def _on_joint(law: TrueLaw, setup: Setup, grid: np.ndarray) -> np.ndarray:
         if issubclass(kind, RobotTerm):
             step = Step(0.0, places, rates, np.zeros((n, 3)), np.zeros((n, 3)))
             kind(np.arange(n), 1e-3, [values] * n)(step, force, np.zeros((n, 3, 3)))
-    along: np.ndarray = force[:, joint]
-    return along
+    on_joint: np.ndarray = force[:, joint]
+    return on_joint

@@ -786,7 +786,7 @@ def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
 
 
 def _law_truth(p: _Synthetic, cause: _Cause, dynamic: list[TruePaths]) -> dict[str, Any]:
-    """Where the law acts, on what it depends and its curve, in the strata whose free-form answers are scored."""
+    """Where the law acts, on what it depends and its curves, in the strata whose free-form answers are scored."""
     if p.case.stratum not in ("left_out", "random_law"):
         return {}
     form = cause.form
@@ -797,8 +797,8 @@ def _law_truth(p: _Synthetic, cause: _Cause, dynamic: list[TruePaths]) -> dict[s
         law = library_law(form.effect, form.stage, axes)
     setup = _setup(p, TRAIN).copy()
     form.change(setup, form.values(cause.draw, cause.severity, _about(p)), TRAIN, _about(p))
-    curve = None if law.variable is None else curve_of(law, setup, _visited(law.variable, dynamic))
-    return {"law": law.to_dict() | {"curve": curve}}
+    curves = [curve_of(*curve, setup, _visited(curve[0], dynamic)) for curve in law.curves]
+    return {"law": law.to_dict() | {"curves": curves}}
 
 
 def _visited(variable: str, dynamic: list[TruePaths]) -> np.ndarray:

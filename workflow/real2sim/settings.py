@@ -710,6 +710,7 @@ DiagnosisSettings = TypedDict(
     "DiagnosisSettings",
     {
         "robot_holds": str,
+        "left_out": list[str],
         "noise_draws": int,
         "noise": DiagnosisNoiseSettings,
         "jumps": DiagnosisJumpsSettings,

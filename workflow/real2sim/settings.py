@@ -665,6 +665,17 @@ DiagnosisSearchSettings = TypedDict(
     },
 )
 
+DiagnosisFreeFormSettings = TypedDict(
+    "DiagnosisFreeFormSettings",
+    {
+        "band_share": float,
+        "refits": int,
+        "most": int,
+        "promising": int,
+        "least_closed": float,
+    },
+)
+
 DiagnosisCalibrationSettings = TypedDict(
     "DiagnosisCalibrationSettings",
     {
@@ -720,6 +731,7 @@ DiagnosisSettings = TypedDict(
         "nuisance": DiagnosisNuisanceSettings,
         "described": DiagnosisDescribedSettings,
         "search": DiagnosisSearchSettings,
+        "free_form": DiagnosisFreeFormSettings,
         "calibration": DiagnosisCalibrationSettings,
         "report": DiagnosisReportSettings,
     },

@@ -268,6 +268,61 @@ def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):
     assert "needed to tell" not in text
 
 
+def test_page_of_an_unknown_cause_shows_the_law_that_was_measured(tmp_path):
+    text = _page(tmp_path, _diagnosis("unknown", free_form=_law())).text
+    assert "a force along ty that depends on q_ty (elastic)" in text
+    assert "J falls by 95 % (92 to 97)" in text
+    assert "The best set of names, slack, closes 60 %" in text
+    assert "It is no proof of a cause" in text
+    assert "q_ty^2" in text
+    assert "goes beyond the range of what the measured law depends on" in text
+
+
+def _law():
+    grid = [-0.01, 0.0, 0.01]
+    curve = {
+        "variable": "q_ty",
+        "unit": "m",
+        "quantity": "force along ty",
+        "quantity_unit": "N",
+        "grid": grid,
+        "mean": [-1.0, 2.0, -1.0],
+        "low": [-1.5, 1.8, -1.5],
+        "high": [-0.5, 2.2, -0.5],
+    }
+    term = {
+        "term": "q_ty^2",
+        "on": "strap_ty",
+        "value": -8056.0,
+        "unit": "N per m^2",
+        "ci95": [-8396.0, -7716.0],
+    }
+    family = {
+        "family": "elastic",
+        "stage": "interface",
+        "kind": "elastic",
+        "axes": ["ty"],
+        "depends_on": ["q_ty"],
+    }
+    return family | {
+        "families": [family],
+        "ln_evidence": 100.0,
+        "equation": [term | {"share": 0.99}],
+        "curve": curve,
+        "rivals": [],
+        "gap_closed": 0.95,
+        "gap_closed_ci95": [0.92, 0.97],
+        "chi2": [110.0, 120.0],
+        "chi2_closed": 0.97,
+        "nearest": {
+            "effect": "slack",
+            "chi2": [300.0, 400.0],
+            "gap_closed": 0.6,
+            "gap_closed_ci95": [0.5, 0.7],
+        },
+    }
+
+
 def test_page_of_an_effect_that_does_not_carry_over_says_so(tmp_path):
     worse = _diagnosis()
     worse["gap"]["J_with_effect"] = 0.9

@@ -259,7 +259,7 @@ def diagnose(
         print(f"{system.name}: {text}", file=sys.stderr, flush=True)
 
     two = Trials(train.name, held_out.name, system, load, options["diagnosis"], progress or say, places)
-    return Diagnosis(system, answer(search_both_ways(two), options))
+    return Diagnosis(system, answer(search_both_ways(two), options, progress or say))
 
 
 def catalogue(system: System | None = None) -> tuple[Effect, ...]:

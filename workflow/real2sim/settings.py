@@ -665,6 +665,17 @@ DiagnosisSearchSettings = TypedDict(
     },
 )
 
+DiagnosisFreeFormSettings = TypedDict(
+    "DiagnosisFreeFormSettings",
+    {
+        "band_share": float,
+        "refits": int,
+        "most": int,
+        "promising": int,
+        "least_closed": float,
+    },
+)
+
 DiagnosisCalibrationSettings = TypedDict(
     "DiagnosisCalibrationSettings",
     {
@@ -710,6 +721,7 @@ DiagnosisSettings = TypedDict(
     "DiagnosisSettings",
     {
         "robot_holds": str,
+        "left_out": list[str],
         "noise_draws": int,
         "noise": DiagnosisNoiseSettings,
         "jumps": DiagnosisJumpsSettings,
@@ -719,6 +731,7 @@ DiagnosisSettings = TypedDict(
         "nuisance": DiagnosisNuisanceSettings,
         "described": DiagnosisDescribedSettings,
         "search": DiagnosisSearchSettings,
+        "free_form": DiagnosisFreeFormSettings,
         "calibration": DiagnosisCalibrationSettings,
         "report": DiagnosisReportSettings,
     },

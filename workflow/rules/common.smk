@@ -35,7 +35,7 @@ from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.verification.phantom.plan import planned_files, planned_subjects
-from real2sim.verification.suite.plan import case_names, expected_time, shards
+from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import fingerprint
 from real2sim.recording.subjects import discover, require_operating_point
 from real2sim.system.model_files import model_files

@@ -78,11 +78,12 @@ for _shard in SUITE_SHARDS:
         params:
             work=f"results/suite/{SUITE['name']}/cases",
             settings=DIAGNOSIS_SETTINGS,
+            left_out=json.dumps(left_out(SUITE, int(_shard))),
             robot=ROBOT_CONTENT,
             code=code("suite-diagnose"),
         shell:
             "python -m real2sim suite-diagnose --cases {input.cases:q} --robot {input.robot:q}"
-            " --settings {params.settings:q} --work {params.work:q} --out {output:q} 2>&1 | tee {log:q}"
+            " --settings {params.settings:q} --left-out {params.left_out:q} --work {params.work:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 if SUITE:

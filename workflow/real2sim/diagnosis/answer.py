@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import NONE, Decision, averaged, next_trial, share_of_other
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision, averaged, next_trial, share_of_other
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.free_form import measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
+from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.refit import Hypothesis
-from real2sim.diagnosis.search import Pair
+from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Outcome, conclude
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
@@ -73,12 +75,20 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Fits:
+    """Everything that was fitted to two trials, and the fit that an answer rests on."""
+
+    found: Found
+    fitted: Hypothesis
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Where the gap lies, which unmodelled effect causes it, how far it shrinks.
 
     ``verdict`` is an effect's name, ``none`` or ``unknown``; ``probabilities`` over all effects and both add up to 1.
     ``where``, ``gap``, ``noise_floor``, ``considered``, ``baselines``, ``parameters`` and ``otherwise`` are sections of
-    diagnosis.json. ``found`` holds the fits behind the answer.
+    diagnosis.json. ``fits`` are those behind the answer. ``free_form`` is the measured law where no name fits.
     """
 
     verdict: str
@@ -94,8 +104,18 @@ class Diagnosis:
     baselines: dict[str, str]
     next_trial: str | None
     otherwise: dict[str, Any] | None
-    found: Found
-    fitted: Hypothesis
+    fits: Fits
+    free_form: dict[str, Any] | None = None
+
+    @property
+    def found(self) -> Found:
+        """Trials and everything that was fitted to them."""
+        return self.fits.found
+
+    @property
+    def fitted(self) -> Hypothesis:
+        """The fit that the answer rests on."""
+        return self.fits.fitted
 
     def traces(self) -> dict[str, np.ndarray]:
         """Return columns of the trial that shows the gap: time [s]; measured, plain and with effect."""
@@ -108,6 +128,7 @@ class Diagnosis:
         return {
             "robot_holds": self.found.initial_state,
             "otherwise": self.otherwise,
+            "free_form": self.free_form,
             "noise_floor": self.noise_floor,
             "gap": self.gap,
             "where": self.where,
@@ -142,8 +163,13 @@ def describe_model(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
     }
 
 
-def answer(outcome: Outcome, settings: Settings) -> Diagnosis:
-    """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``."""
+def answer(
+    outcome: Outcome, settings: Settings, progress: Callable[[str], None] = lambda text: None
+) -> Diagnosis:
+    """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``.
+
+    Where the verdict is `unknown`, the law is measured that explains the gap, if one does. ``progress`` is told.
+    """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     decision, share, otherwise = own, 0.0, None
     if other is not None:
@@ -154,7 +180,10 @@ def answer(outcome: Outcome, settings: Settings) -> Diagnosis:
             constants = options["calibration"]
             share = share_of_other(costs, constants["none_temperature"])
             decision = averaged(own, under_other, share, constants["ambiguity_probability"])
-    result = _Account(found, decision, settings).diagnosis(otherwise)
+    account = _Account(found, decision, settings)
+    result = account.diagnosis(otherwise)
+    if result.verdict == UNKNOWN:
+        result = replace(result, free_form=account.free_form(progress))
     if not share or other is None:
         return result
     theirs = _Account(other, under_other, settings).causes()
@@ -251,8 +280,7 @@ class _Account:
             baselines,
             next_trial(decision, self._report["next_trial_certain"]),
             otherwise,
-            self._found,
-            self._best,
+            Fits(self._found, self._best),
         )
 
     def _noise_floor(self) -> dict[str, Any]:
@@ -354,6 +382,34 @@ class _Account:
         return replace(
             cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
         )
+
+    def free_form(self, progress: Callable[[str], None]) -> dict[str, Any] | None:
+        """Return the measured law; None where none closes enough of the gap on the held-out trial."""
+        options, pair, plain = self._settings["diagnosis"], self._pair, self._attribution.plain
+        nearest = min([plain, *self._attribution.hypotheses], key=lambda h: sum(h.chi2))
+        search = Search(pair, options["search"])
+        laws, library = measure(
+            pair, plain, nearest.base, search, options["free_form"], options["search"], progress
+        )
+        n = self._attribution.samples[1]
+        shown = [h for h in laws if self._share(h.hypothesis, n) >= options["free_form"]["least_closed"]]
+        if not shown:
+            return None
+        law = shown[0]
+        closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
+        about = describe(pair, law, [other for other in laws if other is not law], library)
+        about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis, n)}
+        about["nearest"] = None
+        if nearest.names:
+            path = simulate(pair.shown, pair, nearest)
+            name = " + ".join(nearest.names)
+            about["nearest"] = {"effect": name, "chi2": list(nearest.chi2)} | self._closed(path)
+        return about
+
+    def _share(self, hypothesis: Hypothesis, samples: int) -> float:
+        """Share of what chi-squared of the held-out trial has above its expectation that a hypothesis takes away."""
+        plain = self._attribution.plain.chi2[1]
+        return (plain - hypothesis.chi2[1]) / max(plain - samples, float(np.sqrt(2 * samples)))
 
     def _closed(self, path: np.ndarray) -> dict[str, Any]:
         """Share of the closable gap on the trial that shows it, with a block-bootstrap interval."""

@@ -16,7 +16,8 @@ from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import Hypothesis, PlainResiduals
 from real2sim.diagnosis.search import Pair, Screened, Search, conflict
 from real2sim.effects.base import Placed, Scales
-from real2sim.effects.catalogue import EFFECTS, are_confusable
+from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, are_confusable
+from real2sim.errors import InputError
 from real2sim.inference import least_squares
 from real2sim.system.description import System
 
@@ -54,6 +55,27 @@ def candidates(system: System, scales: Scales, names: Iterable[str] | None = Non
         if wanted is None or effect.name in wanted
         for where in effect.places(system)
     ]
+
+
+def without_names(places: Iterable[Placed], left_out: Iterable[str]) -> list[Placed]:
+    """Return the placed effects but those of some names, every form of each.
+
+    Raises
+    ------
+    InputError
+        For a name that the catalogue does not have.
+    """
+    names = set(left_out)
+    unlisted = sorted(names - set(EFFECT_NAMES))
+    if unlisted:
+        raise InputError(
+            "diagnosis.left_out",
+            "",
+            f"no effect {', '.join(unlisted)}",
+            f"names of the catalogue: {', '.join(EFFECT_NAMES)}",
+            "Correct the name.",
+        )
+    return [placed for placed in places if placed.effect.name not in names]
 
 
 def plain_fit(

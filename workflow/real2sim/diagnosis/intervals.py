@@ -64,7 +64,7 @@ def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, setting
 
 def effect_intervals(pair: Pair, hypothesis: Hypothesis, placed: Placed) -> list[tuple[float, float]]:
     """Return 95 % intervals [SI] of an effect's parameters, from the curvature at the joint optimum."""
-    covariance = _covariance(pair, hypothesis)
+    covariance = covariance_of(pair, hypothesis)
     first = len(hypothesis.base)
     for other in hypothesis.effects:
         if other is placed:
@@ -79,8 +79,8 @@ def effect_intervals(pair: Pair, hypothesis: Hypothesis, placed: Placed) -> list
     return [(float(min(a, b)), float(max(a, b))) for a, b in zip(low, high, strict=True)]
 
 
-def _covariance(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
-    """Covariance (n + p, n + p) of the searched numbers, from the curvature at the joint optimum."""
+def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
+    """Return the covariance (n + p, n + p) of the searched numbers, from the curvature at the joint optimum."""
     problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian

@@ -16,10 +16,12 @@ import numpy as np
 from real2sim.diagnosis.attribute import (
     Attribution,
     attribute,
+    candidates,
     finished,
     is_doubtful,
     is_makeshift,
     plain_fit,
+    without_names,
 )
 from real2sim.diagnosis.decide import (
     NONE,
@@ -81,8 +83,10 @@ class Trials:
 
     def attribute(self, pair: Pair, z: np.ndarray) -> Found:
         """Search for the cause from the plain fit ``z`` (n,)."""
-        places = None if self.places is None else self.places(pair)
         options = self.options
+        scales = pair.train.scales
+        places = candidates(pair.system, scales) if self.places is None else self.places(pair)
+        places = without_names(places, options["left_out"])
         found = attribute(pair, z, options["search"], self.progress, places, options["calibration"])
         return Found(replace(found.pair, exchanged=pair.exchanged), found)
 

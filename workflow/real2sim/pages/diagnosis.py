@@ -18,6 +18,7 @@ from real2sim.artefacts import read_json, write_table
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
+from real2sim.pages.law import law_section
 from real2sim.pages.page import (
     bar,
     document,
@@ -101,6 +102,7 @@ def diagnosis_page(*, diagnosis: Path, traces: Path, out: Path) -> None:
         *_lead(d),
         _where(d),
         _which(d),
+        *law_section(d.get("free_form"), phantom=d["phantom"]),
         _how_far(d, _traces(traces)),
         _parameters(d),
         _next(d),
@@ -231,6 +233,8 @@ def _trial(d: Mapping[str, Any]) -> str:
         return str(d["next_trial"])
     if _hangs_on_hold(d):
         return "the same trials, begun where the strap pulls at nothing, in the pose of neutral"
+    if d["verdict"] == "unknown" and d.get("free_form") is not None:
+        return "one that goes beyond the range of what the measured law depends on, and comes back to rest in between"
     if d["verdict"] == "unknown":
         return "the catalogue has none for a cause that it does not hold; start from where the gap lies"
     return "none is needed to tell causes apart"

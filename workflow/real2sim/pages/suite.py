@@ -41,6 +41,8 @@ _KEYS = (
     "baselines",
     "time_s",
 )
+# Claims on a measured law, in the order of the table
+_LAW_CLAIMS = ("stage", "axes", "variables", "kind")
 _GAP_RANGE = (-0.5, 1.5)  # of the histogram; what lies beyond is counted in its outer bins
 _DASH = "\N{EN DASH}"
 
@@ -53,7 +55,7 @@ def suite_page(*, score: Path, out: Path) -> None:
     """
     s = read_json(score, _KEYS)
     _check(score, s["confusion"])
-    body = [_lead(s), _targets(s), _confusion(s), _power(s), _calibration(s), _gap(s), _foot(s)]
+    body = [_lead(s), _targets(s), _unlisted(s), _confusion(s), _power(s), _calibration(s), _gap(s), _foot(s)]
     write_text(out, document(f"Diagnosis suite: {s['suite']}", body, phantom=s["phantom"]))
 
 
@@ -158,6 +160,38 @@ def _baselines(s: Mapping[str, Any]) -> str:
         caption="Baselines on the same cases and fits, at every visibility: top-1 where an effect of the library was "
         "put in, false alarm where none was and one was named.",
         numeric=tuple(range(1, len(shown) + 1)),
+    )
+
+
+# ---- laws outside the catalogue
+
+
+def _unlisted(s: Mapping[str, Any]) -> str:
+    """Table of the strata whose causes the catalogue does not hold; nothing where the suite has none."""
+    if not s.get("unlisted"):
+        return ""
+    rows = [
+        [
+            escape(_words(row["form"])),
+            escape(_words(row["stratum"])),
+            f"{row['right']} of {row['n']}",
+            str(row["laws"]),
+            *(f"{right} of {n}" if n else _DASH for right, n in (row[key] for key in _LAW_CLAIMS)),
+            percent(row["closed"]),
+        ]
+        for row in s["unlisted"]
+    ]
+    heads = ["Cause", "Stratum", "Unknown or equal law", "Laws", *map(str.capitalize, _LAW_CLAIMS), "Closed"]
+    return section(
+        "unlisted",
+        "Causes that the catalogue does not hold",
+        table(
+            heads,
+            rows,
+            caption="Per cause: right answers (`unknown`, or a listed law that closes as much), laws that were "
+            "measured, and of these the right ones; closed is the median share of the gap on the held-out trial.",
+            numeric=tuple(range(2, len(heads))),
+        ),
     )
 
 

@@ -23,7 +23,15 @@ if TYPE_CHECKING:
 TRAIN, HELD_OUT, NEUTRAL = "dynamic_1", "dynamic_2", "neutral"
 
 
-def diagnose_cases(*, cases: list[Path], robot: Path, settings: Settings, work: Path, out: Path) -> None:
+def diagnose_cases(
+    *,
+    cases: list[Path],
+    robot: Path,
+    settings: Settings,
+    work: Path,
+    out: Path,
+    left_out: dict[str, list[str]] | None = None,
+) -> None:
     """Answer every case of a shard.
 
     Parameters
@@ -37,15 +45,19 @@ def diagnose_cases(*, cases: list[Path], robot: Path, settings: Settings, work: 
         recordings, settings and code, is kept, so that an interrupted shard goes on.
     out
         JSON with the list of answers.
+    left_out
+        By case: names that the catalogue is without (``diagnosis.left_out``), which shorten it and are used for nothing
+        else.
     """
     answers, begun, done = [], time.monotonic(), 0
     for index, folder in enumerate(cases):
         target = work / folder.name / "diagnosis.json"
         seconds = target.with_name("seconds.json")
-        key = _key(folder, robot, settings)
+        own = _without(settings, (left_out or {}).get(folder.name, []))
+        key = _key(folder, robot, own)
         if not (target.exists() and seconds.exists() and read_json(seconds).get("key") == key):
             start = time.monotonic()
-            _answer(folder, robot, settings, target)
+            _answer(folder, robot, own, target)
             write_json(seconds, {"seconds": time.monotonic() - start, "key": key})
             done += 1
         answers.append(str(target))
@@ -53,6 +65,11 @@ def diagnose_cases(*, cases: list[Path], robot: Path, settings: Settings, work: 
         left = (time.monotonic() - begun) / max(done, 1) * (len(cases) - index - 1)
         print(f"{index + 1}/{len(cases)} cases, about {left:.0f} s left", file=sys.stderr, flush=True)
     write_json(out, {"schema": 1, "answers": answers})
+
+
+def _without(settings: Settings, names: list[str]) -> Settings:
+    """Return the settings with some names left out of the catalogue."""
+    return settings | {"diagnosis": settings["diagnosis"] | {"left_out": names}} if names else settings
 
 
 def _key(folder: Path, robot: Path, settings: Settings) -> str:

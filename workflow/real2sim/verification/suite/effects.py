@@ -35,7 +35,9 @@ class Context:
 
     ``lower``, ``upper`` are the extremes of q in the training trial, ``reach`` and ``speed`` the largest
     absolute values of q and its rate; ``mobility`` is the inertia that the strap feels along each axis,
-    ``masses`` (3,) those of base, arm, interface; motion begins at ``start_s``.
+    ``masses`` (3,) those of base, arm, interface; motion begins at ``start_s``. ``place``, ``place_rate`` (6,) are
+    the largest absolute values of the robot's joints from their start and of their rates, ``posture`` (4,) those of the
+    pelvis' tilt, list, heading [rad] and height [m].
     """
 
     stiffness: np.ndarray
@@ -48,6 +50,9 @@ class Context:
     masses: np.ndarray
     duration_s: float
     start_s: float
+    place: np.ndarray
+    place_rate: np.ndarray
+    posture: np.ndarray
 
 
 @dataclass
@@ -118,6 +123,11 @@ def register(kind: type[Form]) -> type[Form]:
     return kind
 
 
+def axis_weights() -> np.ndarray:
+    """Relative frequency (6,) with which an effect sits on each axis."""
+    return _AXIS_WEIGHT.copy()
+
+
 def _axes(rng: np.random.Generator, both: bool = False) -> np.ndarray:
     # two axes are of one kind, so that one severity serves both
     first = rng.choice(6, p=_AXIS_WEIGHT / _AXIS_WEIGHT.sum())
@@ -157,7 +167,7 @@ def _stick(about: Context) -> np.ndarray:
     return about.mobility * _STICK_RAD_S**2
 
 
-def _strongest(about: Context) -> np.ndarray:
+def strongest(about: Context) -> np.ndarray:
     """Largest friction (6,): 60 N and 4 Nm, and no more than the strap's own force, else nothing ever slips."""
     most: np.ndarray = np.minimum(
         _limit(60.0, 4.0), about.stiffness * about.reach + about.damping * about.speed
@@ -459,7 +469,7 @@ class Coulomb(StrapForm):
     units: ClassVar = {"friction": _FORCE}
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
-        return {"friction": draw.axes * severity * _strongest(about)}
+        return {"friction": draw.axes * severity * strongest(about)}
 
     def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         f = values["friction"]
@@ -478,7 +488,7 @@ class AsymmetricCoulomb(Coulomb):
         return {"back": rng.uniform(0.4, 0.8)}
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
-        f = draw.axes * severity * _strongest(about)
+        f = draw.axes * severity * strongest(about)
         return {"friction": f, "friction_back": draw.values["back"] * f}
 
     def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
@@ -508,7 +518,7 @@ class LuGre(StrapForm):
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
         drawn = draw.values
-        coulomb = draw.axes * severity * _strongest(about) / drawn["ratio"]
+        coulomb = draw.axes * severity * strongest(about) / drawn["ratio"]
         bristle = coulomb / (drawn["travel"] * about.reach)
         return {
             "coulomb": coulomb,
@@ -547,7 +557,7 @@ class Hysteresis(StrapForm):
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
-            "strength": draw.axes * severity * _strongest(about),
+            "strength": draw.axes * severity * strongest(about),
             "yield_travel": draw.values["travel"] * about.reach,
             "shape": draw.values["shape"],
         }
@@ -998,7 +1008,8 @@ def _retime(recording: Recording, clock: Callable[[np.ndarray], np.ndarray]) -> 
     recording.axes = lambda t: axes(clock(t))
 
 
-def _displace(recording: Recording, side: int, shift: Callable[[np.ndarray], np.ndarray]) -> None:
+def displace(recording: Recording, side: int, shift: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Move one interface marker (0 left, 1 right) by a function of time (n,) -> (n, 3) [m]."""
     centres = recording.interface
 
     def moved(t: np.ndarray) -> np.ndarray:
@@ -1101,7 +1112,7 @@ class MarkerOffset(OutputForm):
 
     def record(self, recording: Recording, values: Values, about: Context) -> None:
         axes = recording.axes
-        _displace(recording, values["side"], lambda t: axes(t) @ values["offset"])
+        displace(recording, values["side"], lambda t: axes(t) @ values["offset"])
 
 
 @register
@@ -1123,7 +1134,7 @@ class MarkerDrift(OutputForm):
 
     def record(self, recording: Recording, values: Values, about: Context) -> None:
         if recording.dynamic:
-            _displace(recording, values["side"], lambda t: np.maximum(t, 0.0)[:, None] * values["rate"])
+            displace(recording, values["side"], lambda t: np.maximum(t, 0.0)[:, None] * values["rate"])
 
 
 @register
@@ -1148,7 +1159,7 @@ class Outliers(OutputForm):
             length = rng.choice([0.01, 0.01, 0.01, 0.02, 0.05])
             way = rng.standard_normal(3)
             way *= values["height"] * rng.uniform(0.6, 1.0) / np.linalg.norm(way)
-            _displace(recording, int(rng.integers(2)), _pulse(at, length, way))
+            displace(recording, int(rng.integers(2)), _pulse(at, length, way))
 
 
 def _pulse(at: float, length: float, way: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -1282,7 +1293,7 @@ class PoseStick(StrapForm):
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {
-            "depth": draw.axes * severity * _strongest(about),
+            "depth": draw.axes * severity * strongest(about),
             "place": draw.values["place"] * about.reach,
             "width": draw.values["width"] * about.reach,
         }

@@ -58,10 +58,40 @@ GROUPS = (
     ("outliers",),
 )
 
+# Laws that no catalogue lists, by distribution, as they are drawn in `random_law`; listed here for the same reason.
+RANDOM_LAWS = (
+    "random_elastic",
+    "random_elastic_coupling",
+    "random_coupling",
+    "random_dissipation",
+    "random_damping_by_coordinate",
+    "random_memory",
+    "random_hysteresis",
+    "random_gain_time",
+    "random_gain_posture",
+    "random_gain_place",
+    "random_rhythm",
+    "random_force_strap",
+    "random_force_base",
+    "random_base_place",
+    "random_base_speed",
+    "random_pelvis_markers",
+    "random_interface_markers",
+)
+
 # Seconds that a case took to write and to answer on one core of a 2-core machine, where nothing was measured yet
 WRITE_S, ANSWER_S = 5.0, 40.0
 
-STRATA = ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
+STRATA = (
+    "null",
+    "null_hard",
+    "in_library",
+    "form_mismatch",
+    "mixture",
+    "out_of_library",
+    "left_out",
+    "random_law",
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +102,17 @@ class Case:
     stratum: str
     forms: tuple[str, ...]
     target: float | None
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names that the catalogue is without when the case is diagnosed: public, as the analysis has to be told."""
+        return self.forms if self.stratum == "left_out" else ()
+
+
+def left_out(suite: dict[str, Any], shard: int) -> dict[str, list[str]]:
+    """Names to leave out of the catalogue, by case, for the cases of one shard that ask for it."""
+    names = set(case_names(suite, shard))
+    return {case.id: list(case.left_out) for case in cases(suite) if case.id in names and case.left_out}
 
 
 def shards(suite: dict[str, Any]) -> int:
@@ -150,7 +191,7 @@ def _picks(suite: dict[str, Any], stratum: str, count: int) -> list[tuple[tuple[
         pairs = _pairs(suite["effects"])
         chosen = [pairs[i] for i in rng.permutation(len(pairs))]
         return [(chosen[i % len(chosen)], targets[i % len(targets)]) for i in range(count)]
-    pool = suite["effects"] if stratum == "in_library" else suite[stratum]
+    pool = suite["effects"] if stratum in ("in_library", "left_out") else suite[stratum]
     pool = [pool[i] for i in rng.permutation(len(pool))]
     shift = rng.integers(len(targets), size=len(pool))
     # every round has each form once, at another visibility than the round before

@@ -17,6 +17,7 @@ from real2sim.verification.phantom.physics import (
     simulate_centres,
 )
 from real2sim.verification.suite.laws import EffectLaw, RobotTerm, Term
+from real2sim.verification.suite.random_laws import PlaceGain, Watch
 
 FREE = np.full(6, np.inf)
 
@@ -73,13 +74,15 @@ def _batch(robot: Robot, setups: list[Setup], stops: dict[str, Any]) -> dict[str
         migration=np.zeros((n, 3)),
         terms=[term for term in made if isinstance(term, Term)],
     )
+    watching = [term for term in made if isinstance(term, PlaceGain)]
     added = np.array([s.added for s in setups])
     return {
         "robot": robot,
         "paths": [s.path for s in setups],
         "law": law,
         "controllers": [s.controller for s in setups],
-        "effects": [term for term in made if isinstance(term, RobotTerm)],
+        "effects": [term for term in made if isinstance(term, RobotTerm)]
+        + ([Watch(watching)] if watching else []),
         "added_mass": added if added.any() else None,
     }
 

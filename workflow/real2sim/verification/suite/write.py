@@ -24,7 +24,8 @@ from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import PARAMETER_NAMES, UNITS, Person, draw_person
 from real2sim.verification.phantom.physics import AXES, Controller, PelvisPath, Robot, TruePaths
 from real2sim.verification.suite import excitation
-from real2sim.verification.suite.effects import FORMS, Context, Draw, Form
+from real2sim.verification.suite.effects import Context, Draw, Form
+from real2sim.verification.suite.forms import FORMS
 from real2sim.verification.suite.measurement import (
     Recording,
     interface_pose,
@@ -35,6 +36,7 @@ from real2sim.verification.suite.measurement import (
     sampled,
 )
 from real2sim.verification.suite.plan import EFFECTS, Case, case_names, cases, stream
+from real2sim.verification.suite.random_forms import RandomForm, posture
 from real2sim.verification.suite.setups import Setup, run, run_centres
 from real2sim.verification.suite.severity import (
     HELD_OUT,
@@ -46,6 +48,7 @@ from real2sim.verification.suite.severity import (
     perturbed,
     refit_of,
 )
+from real2sim.verification.suite.true_laws import PLACES, SPEEDS, curve_of, library_law
 
 RATE_HZ = 100.0
 TRIALS = ("neutral", TRAIN, HELD_OUT)
@@ -286,7 +289,8 @@ def _describe(world: _World, people: list[_Synthetic]) -> None:
     done = iter(run(world.coarse, setups, world.stops, RATE_HZ))
     for p in people:
         p.base = {trial: next(done) for trial in (TRAIN, HELD_OUT)}
-        q, qd = p.base[TRAIN].q, p.base[TRAIN].qd
+        base = p.base[TRAIN]
+        q, qd = base.q, base.qd
         p.about = Context(
             p.person.stiffness,
             p.person.damping,
@@ -298,6 +302,9 @@ def _describe(world: _World, people: list[_Synthetic]) -> None:
             world.coarse.masses,
             p.settings["trials"]["dynamic_s"],
             p.settings["trials"]["quiet_s"],
+            np.abs(base.joints - base.joints[0]).max(axis=0),
+            np.abs(base.joint_rates).max(axis=0),
+            np.abs(posture(base.pelvis_rotation, base.pelvis_position)).max(axis=0),
         )
 
 
@@ -709,9 +716,8 @@ def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.nda
     facts = {"id": person.name, "phantom": True, **person.facts}
     text = f"# {exports.NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
     write_text(folder / "subject.yaml", text)
-    return _truth(
-        p, notes, None if p.left is None else regimes(p.left, *(true[t].paths for t in (TRAIN, HELD_OUT)))
-    )
+    dynamic = [true[t].paths for t in (TRAIN, HELD_OUT)]
+    return _truth(p, notes, None if p.left is None else regimes(p.left, *dynamic), dynamic)
 
 
 def regimes(left: np.ndarray, train: TruePaths, held_out: TruePaths) -> dict[str, float]:
@@ -736,12 +742,14 @@ def regimes(left: np.ndarray, train: TruePaths, held_out: TruePaths) -> dict[str
     }
 
 
-def _truth(p: _Synthetic, notes: dict[str, Any], shares: dict[str, float] | None) -> dict[str, Any]:
+def _truth(
+    p: _Synthetic, notes: dict[str, Any], shares: dict[str, float] | None, dynamic: list[TruePaths]
+) -> dict[str, Any]:
     assert p.refit is not None
     return {
         "id": p.case.id,
         "stratum": p.case.stratum,
-        "effects": [_cause_truth(p, cause) for cause in p.causes],
+        "effects": [_cause_truth(p, cause) | _law_truth(p, cause, dynamic) for cause in p.causes],
         "visibility": {"target": p.case.target, "predicted": p.rho},
         "regimes": shares,
         "floor": {TRAIN: p.refit.floor_train, HELD_OUT: p.refit.floor_held_out},
@@ -775,3 +783,32 @@ def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
         "severity": cause.severity,
         "visibility": {"target": p.case.target, "alone": cause.rho},
     }
+
+
+def _law_truth(p: _Synthetic, cause: _Cause, dynamic: list[TruePaths]) -> dict[str, Any]:
+    """Where the law acts, on what it depends and its curves, in the strata whose free-form answers are scored."""
+    if p.case.stratum not in ("left_out", "random_law"):
+        return {}
+    form = cause.form
+    if isinstance(form, RandomForm):
+        law = form.law(cause.draw)
+    else:
+        axes = [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on]
+        law = library_law(form.effect, form.stage, axes)
+    setup = _setup(p, TRAIN).copy()
+    form.change(setup, form.values(cause.draw, cause.severity, _about(p)), TRAIN, _about(p))
+    curves = [curve_of(*curve, setup, _visited(curve[0], dynamic)) for curve in law.curves]
+    return {"law": law.to_dict() | {"curves": curves}}
+
+
+def _visited(variable: str, dynamic: list[TruePaths]) -> np.ndarray:
+    """Values (n,) that a variable of a law took in the dynamic trials [SI], places from the start on."""
+    if variable in PLACES:
+        return np.concatenate(
+            [d.joints[:, PLACES.index(variable)] - d.joints[0, PLACES.index(variable)] for d in dynamic]
+        )
+    if variable in SPEEDS:
+        return np.concatenate([d.joint_rates[:, SPEEDS.index(variable)] for d in dynamic])
+    values = np.concatenate([d.q if variable.startswith("q_") else d.qd for d in dynamic])
+    along: np.ndarray = values[:, AXES.index(variable[2:])]
+    return along

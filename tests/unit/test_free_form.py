@@ -1,0 +1,124 @@
+"""Laws that nobody listed: families of forces, their prior, and what is measured where no name is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real2sim.configuration import validated
+from real2sim.diagnosis.described_trial import DescribedTrial
+from real2sim.diagnosis.free_form import Library, measure, screen, slopes
+from real2sim.diagnosis.law import describe
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Search
+from real2sim.diagnosis.trials import Trials
+from real2sim.effects.families import Range, Variable, families, polynomial, product, relaxed, stopped
+from real2sim.recording.table import Recording
+from real2sim.system.description import shipped_system
+from real2sim.verification.systems import one_axis
+
+CONFIG = validated({}, "config", Path("defaults"))["diagnosis"]
+SEARCH, FREE = CONFIG["search"], CONFIG["free_form"]
+RANGES = {"q_ty": Range(-2.0, 1.0)}
+
+
+def _variable(values):
+    return {"q_ty": Variable("q_ty", "m", 0.01, np.asarray(values, float))}
+
+
+@pytest.mark.parametrize("order", [2, 3, 6, 8])
+def test_polynomials_go_on_straight_beyond_the_range_that_was_visited(order):
+    x = np.linspace(1.0, 4.0, 31)
+    values = polynomial("q_ty", order)(_variable(x), RANGES, 0.01)
+    np.testing.assert_allclose(np.diff(values, 2), 0, atol=1e-9)
+    inside = polynomial("q_ty", order)(_variable(np.linspace(-2, 1, 31)), RANGES, 0.01)
+    assert np.abs(inside).max() == pytest.approx(1)
+
+
+def test_products_keep_their_value_beyond_the_range():
+    values = product(("q_ty", 3))(_variable([1.0, 2.0, 9.0]), RANGES, 0.01)
+    np.testing.assert_allclose(values, 1.0)
+
+
+def test_a_relaxation_forgets_and_a_slip_does_not():
+    path = np.concatenate([np.zeros(10), np.ones(990)])
+    assert relaxed("q_ty", 0.5)(_variable(path), RANGES, 0.01)[-1] == pytest.approx(0, abs=1e-6)
+    assert stopped("q_ty", 0.2)(_variable(path), RANGES, 0.01)[-1] == pytest.approx(1)
+
+
+def test_both_forces_of_an_elastic_coupling_derive_from_one_potential():
+    system = shipped_system("strap")
+    names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
+    force = {axis.joint: 10.0 + i for i, axis in enumerate(system.axes)}
+    large = {axis.joint: 0.01 * (i + 1) for i, axis in enumerate(system.axes)}
+    found = [f for f in families(system, names, force, large) if f.kind == "elastic coupling"]
+    assert len(found) == 15
+    a, b = found[0].axes
+    first, second = (next(axis.joint for axis in system.axes if axis.name == x) for x in (a, b))
+    wide = {f"q_{x}": Range(-9.0, 9.0) for x in (a, b)}
+
+    def forces(qa, qb, row):
+        of = {f"q_{x}": Variable(f"q_{x}", "m", 1.0, np.array([q])) for x, q in ((a, qa), (b, qb))}
+        at = {t.joint: force[t.joint] * t.factor * t.basis(of, wide, 0.01)[0] for t in row}
+        return at[first], at[second]
+
+    step = 1e-5
+    for row in found[0].terms:
+        # d F_a / d q_b = d F_b / d q_a, in metres and not in units of a large excursion
+        by_b = (forces(0.4, 0.7 + step, row)[0] - forces(0.4, 0.7, row)[0]) / (step * large[second])
+        by_a = (forces(0.4 + step, 0.7, row)[1] - forces(0.4, 0.7, row)[1]) / (step * large[first])
+        assert by_b == pytest.approx(by_a, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def stiff(tmp_path_factory):
+    """Two records of an oscillator with a cubic spring of 2e9 N/m3 beside its own, and its plain fit."""
+    folder = tmp_path_factory.mktemp("oscillator")
+    one_axis.simulate_bouc_wen("stiffening", 2e9, 71, folder, 3.0)
+    system = shipped_system("bouc_wen")
+    records = {n: Recording.read(system, folder / f"{n}.parquet") for n in ("train", "held_out", "quiet")}
+
+    def load(name, settled):
+        evidence = DescribedTrial(system, records[name], records["quiet"], CONFIG["described"]).evidence()
+        return evidence.as_settled() if settled else evidence
+
+    trials = Trials("train", "held_out", system, load, CONFIG, lambda text: None)
+    pair, z = trials.prepare()
+    search = Search(pair, SEARCH)
+    return pair, search, search.fit((), z, final=True)
+
+
+def test_a_cubic_spring_is_measured_without_its_name(stiff):
+    pair, search, plain = stiff
+    laws, library = measure(pair, plain, plain.base, search, FREE, SEARCH, lambda text: None)
+    about = describe(pair, laws[0], laws[1:], library)
+    assert (about["stage"], about["kind"]) == ("interface", "elastic")
+    assert about["axes"] == [pair.system.axes[0].name]
+    assert about["depends_on"] == [f"q_{pair.system.axes[0].name}"]
+    samples = pair.held_out.samples
+    # the held-out record goes beyond the range of the other, where the law goes on straight
+    assert laws[0].hypothesis.chi2[1] - samples < 0.05 * (plain.chi2[1] - samples)
+    curve = about["curve"]
+    grid, mean = np.array(curve["grid"]), np.array(curve["mean"])
+    force = -2e9 * grid**3
+    line = np.column_stack([np.ones_like(grid), grid])
+    true = force - line @ np.linalg.lstsq(line, force, rcond=None)[0]
+    assert np.abs(mean - true).max() < 0.1 * np.abs(true).max()
+    assert curve["quantity_unit"] == "N"
+    cubic = next(row for row in about["equation"] if row["term"].endswith("^3"))
+    assert cubic["value"] == pytest.approx(-2e9, rel=0.1)
+    assert cubic["unit"] == "N per m^3"
+
+
+def test_the_scale_of_the_prior_is_small_where_there_is_nothing_to_explain(stiff):
+    pair, _, plain = stiff
+    library = Library(pair, FREE["band_share"])
+    known = slopes(pair, library, Hypothesis((), plain.base, plain.chi2), library.columns)
+    rng = np.random.default_rng(1)
+    quiet = replace(known, residuals=rng.standard_normal(len(known.residuals)))
+    found = screen(quiet, library, plain, SEARCH["longest_step"])
+    assert max(s.gain for s in found) < np.log(len(found)) + 3
+    loud = screen(known, library, plain, SEARCH["longest_step"])
+    assert loud[0].gain > 100

@@ -1,0 +1,176 @@
+"""A measured law in words and numbers: where it acts, on what it depends, its curve with a band, what it closes.
+
+The entry ``free_form`` of diagnosis.json is made here from refitted families (`free_form.Law`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from real2sim.diagnosis.free_form import AnyFamily, Law, Library
+from real2sim.diagnosis.intervals import covariance_of
+from real2sim.diagnosis.search import Pair
+from real2sim.effects.families import Family, Term, Variable, power
+
+# Points of a curve over the visited range
+_POINTS = 41
+# Powers of one variable that an equation is written in, and how many of them at most
+_POWERS = (1.0, 2.0, 3.0, 4.0, 5.0)
+_MOST_TERMS = 3
+# What an equation has to hold of the law's mean square [1]
+_ENOUGH = 0.95
+_NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A family with its coefficients (p,) and their covariance (p, p)."""
+
+    family: AnyFamily
+    coefficients: np.ndarray
+    covariance: np.ndarray
+
+
+def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> dict[str, Any]:
+    """Return what diagnosis.json says of a law, but for what it closes.
+
+    ``rivals`` are the other laws that were refitted, by falling evidence.
+    """
+    fitted = _fitted(pair, law)
+    first = fitted[0].family
+    return {
+        "stage": first.stage,
+        "kind": first.kind,
+        "axes": list(dict.fromkeys(a for f in law.families if f.kind == first.kind for a in f.axes)),
+        "depends_on": list(
+            dict.fromkeys(v for f in law.families if f.kind == first.kind for v in f.depends_on)
+        ),
+        "family": first.name,
+        "families": [_named(f) for f in law.families],
+        "ln_evidence": law.gain,
+        "equation": [row for one in fitted for row in _equation(pair, one, library)],
+        "curve": _curve(fitted[0], library),
+        "rivals": [
+            {"families": [_named(f) for f in r.families], "ln_evidence_behind": law.gain - r.gain}
+            for r in rivals
+            if np.isfinite(r.gain)
+        ],
+    }
+
+
+def _named(family: AnyFamily) -> dict[str, Any]:
+    return {
+        "family": family.name,
+        "stage": family.stage,
+        "kind": family.kind,
+        "axes": list(family.axes),
+        "depends_on": list(family.depends_on),
+    }
+
+
+def _fitted(pair: Pair, law: Law) -> list[_Fitted]:
+    covariance = covariance_of(pair, law.hypothesis)
+    at, out = len(law.hypothesis.base), []
+    for family, x in zip(law.families, law.hypothesis.split(), strict=True):
+        own = slice(at, at + len(x))
+        out.append(_Fitted(family, x, covariance[own, own]))
+        at += len(x)
+    return out
+
+
+def _equation(pair: Pair, fitted: _Fitted, library: Library) -> list[dict[str, Any]]:
+    """Return the fewest terms that carry 95 % of a family's force on the training trial, at most three."""
+    family = fitted.family
+    if not isinstance(family, Family):
+        return []
+    context = pair.train.context
+    out: list[dict[str, Any]] = []
+    for joint in dict.fromkeys(t.joint for row in family.terms for t in row):
+        rows = [[t for t in row if t.joint == joint] for row in family.terms]
+        force = np.array([library.signals(row, context).sum(axis=0) for row in rows])
+        terms = _readable(family, joint)
+        signals = library.signals(terms, context)
+        chosen, share = _fewest(signals, fitted.coefficients @ force)
+        fit = np.linalg.lstsq(signals[chosen].T, force.T, rcond=None)[0]
+        values = fit @ fitted.coefficients
+        sd = np.sqrt(np.einsum("ij,jk,ik->i", fit, fitted.covariance, fit))
+        for i, value, spread in zip(chosen, values, sd, strict=True):
+            scale, unit = library.unit_of(terms[i])
+            ends = sorted(scale * (value + k * _NORMAL_95 * spread) for k in (-1, 1))
+            out.append(
+                {
+                    "term": terms[i].name,
+                    "on": joint,
+                    "value": float(scale * value),
+                    "unit": unit,
+                    "ci95": [float(e) for e in ends],
+                    "share": float(share),
+                }
+            )
+    return out
+
+
+def _readable(family: Family, joint: str) -> list[Term]:
+    """Return powers of the variable where a family depends on one coordinate; its own basis functions elsewhere."""
+    own = [t for row in family.terms for t in row if t.joint == joint]
+    if len(family.depends_on) == 1 and any(t.name.startswith("P") for t in own):
+        return [power(family.depends_on[0], joint, k) for k in _POWERS]
+    return own
+
+
+def _fewest(signals: np.ndarray, law: np.ndarray) -> tuple[list[int], float]:
+    """Return the indices of the signals (s, n), greedily chosen, that carry 95 % of a law (n,), and what they carry."""
+    law = law - law.mean()
+    centred = signals - signals.mean(axis=1, keepdims=True)
+    total = float(law @ law) or 1.0
+    chosen: list[int] = []
+    share = 0.0
+    while len(chosen) < min(_MOST_TERMS, len(signals)) and share < _ENOUGH:
+        left = {}
+        for i in set(range(len(signals))) - set(chosen):
+            part = centred[[*chosen, i]].T
+            rest = law - part @ np.linalg.lstsq(part, law, rcond=None)[0]
+            left[i] = float(rest @ rest)
+        best = min(left, key=lambda i: left[i])
+        chosen.append(best)
+        share = 1 - left[best] / total
+    return chosen, share
+
+
+def _curve(fitted: _Fitted, library: Library) -> dict[str, Any] | None:
+    """Return the force over the one variable that it depends on, with a 95 % band, without its linear part.
+
+    The linear part is stiffness or damping of the axis. Only the range that the training trial visited is told.
+    """
+    family = fitted.family
+    if not isinstance(family, Family) or len(family.depends_on) != 1 or len(family.axes) != 1:
+        return None
+    name = family.depends_on[0]
+    if name not in library.ranges or name == "time" or "history" in name:
+        return None
+    seen, variable = library.ranges[name], library.template[name]
+    grid = np.linspace(seen.low, seen.high, _POINTS)
+    own = {name: Variable(name, variable.unit, variable.scale, grid)}
+    joint = family.terms[0][0].joint
+    basis = np.array(
+        [sum(t.basis(own, library.ranges, 0.01) * t.factor for t in row) for row in family.terms]
+    )
+    line = np.column_stack([np.ones(_POINTS), grid])
+    basis = (basis.T - line @ np.linalg.lstsq(line, basis.T, rcond=None)[0]) * library.force[joint]
+    mean = basis @ fitted.coefficients
+    sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, fitted.covariance, basis))
+    unit = "Nm" if library.is_turn(joint) else "N"
+    return {
+        "variable": name,
+        "unit": variable.unit,
+        "quantity": f"{'moment' if unit == 'Nm' else 'force'} along {family.axes[0]}",
+        "quantity_unit": unit,
+        "grid": (grid * variable.scale).tolist(),
+        "mean": mean.tolist(),
+        "low": (mean - _NORMAL_95 * sd).tolist(),
+        "high": (mean + _NORMAL_95 * sd).tolist(),
+    }

@@ -1,0 +1,166 @@
+"""Free-form displacements of what is measured: markers of the interface and the path of the driven segment.
+
+As the families of forces, each is linear in coefficients with a Gaussian prior: lags and filters of any order by the
+derivatives of a path, drift by powers of time, markers on a body that turns by its orientation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from real2sim import signals
+from real2sim.effects.base import AtRest, Effect, EffectParameter
+from real2sim.effects.chains import Chains, Context
+
+# One unit of a coefficient: a lag of 10 ms and what its square and cube are, a displacement of 5 mm, a turn of 0.02 rad
+_LAG_S = 0.01
+_WAY_M = 0.005
+_TURN_RAD = 0.02
+_ANGLE_RAD = 0.1
+_BAND_HZ = 6.0
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A family of displacements: names of its coefficients, their prior SD beside each other, and its chains."""
+
+    name: str
+    stage: str
+    depends_on: tuple[str, ...]
+    terms: tuple[str, ...]
+    weights: tuple[float, ...]
+    chains: Chains
+
+    kind = "measurement"
+    axes: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """What it is called in progress lines and tables."""
+        what = "interface markers" if self.stage == "output" else "segment's path"
+        return f"displacement of the {what} by {', '.join(self.depends_on)}"
+
+    def effect(self, sd: Sequence[float], bound: float) -> Effect:
+        """Return the effect with prior SD of its coefficients."""
+        return Effect(
+            self.name,
+            self.stage,
+            "linear in its coefficients",
+            tuple(
+                EffectParameter(name, "1", -bound, bound, (0.0,), prior_sd=s)
+                for name, s in zip(self.terms, sd, strict=True)
+            ),
+            separating_trial="the two systems recorded together on a rigid body",
+            at_rest=AtRest((0.0,) * len(self.terms)),
+            scope="whole",
+            chains=self.chains,
+        )
+
+
+def displacements() -> list[Displacement]:
+    """Return all families of displacements of a system whose segment has a pose and whose interface has markers."""
+    lags = ("lag", "lag^2", "lag^3")
+    way = tuple(f"{a} time^{k}" for k in (1, 2, 3) for a in "xyz")
+    turned = tuple(f"{a} {n}" for n in ("tilt", "list", "heading") for a in "xyz")
+    slow = (1.0,) * 3 + (0.5,) * 3 + (0.33,) * 3
+    return [
+        Displacement("late markers", "output", ("rate",), lags, (1, 1, 1), Chains(output=_late_markers)),
+        Displacement("drifting markers", "output", ("time",), way, slow, Chains(output=_drifting_markers)),
+        Displacement(
+            "turned markers",
+            "output",
+            ("pelvis_tilt", "pelvis_list", "pelvis_heading"),
+            tuple("xyz") + turned,
+            (1.0,) * 12,
+            Chains(output=_turned_markers),
+        ),
+        Displacement("late segment", "input", ("rate",), lags[:2], (1, 1), Chains(input=_late_segment)),
+        Displacement("drifting segment", "input", ("time",), way, slow, Chains(input=_drifting_segment)),
+        Displacement(
+            "turned segment",
+            "input",
+            ("pelvis_tilt", "pelvis_list", "pelvis_heading"),
+            turned + tuple(f"r{name}" for name in turned),
+            (1.0,) * 18,
+            Chains(input=_turned_segment),
+        ),
+    ]
+
+
+def _rate(context: Context) -> float:
+    return float(1 / (context.time_s[1] - context.time_s[0]))
+
+
+def _derivatives(path: np.ndarray, rate_hz: float, order: int) -> list[np.ndarray]:
+    """Return derivatives (n, k) of a path (n, k) in units of a lag, its square and so on, below 6 Hz."""
+    out, now = [], signals.lowpass(path, rate_hz, _BAND_HZ, 2)
+    for _ in range(order):
+        now = _LAG_S * signals.derivative(now, rate_hz)
+        out.append(now)
+    return out
+
+
+def _late_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    out = paths.copy()
+    for k, path in enumerate(paths):
+        parts = _derivatives(path.reshape(len(path), -1), _rate(context), values.shape[1])
+        for value, part in zip(values[k], parts, strict=True):
+            out[k] -= value * part.reshape(path.shape)
+    return out
+
+
+def _passed(context: Context) -> np.ndarray:
+    since = np.maximum(context.time_s - context.time_s[context.start], 0.0)
+    return np.asarray(since / since[-1])
+
+
+def _drifting_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    powers = _passed(context)[:, None] ** np.arange(1, 4)
+    way = _WAY_M * np.einsum("nk,mkc->mnc", powers, values.reshape(len(values), 3, 3))
+    return np.asarray(paths + np.einsum("nij,mnj->mni", context.interface_rotation, way)[:, :, None])
+
+
+def _angles(context: Context) -> np.ndarray:
+    """Return tilt, list and heading (n, 3) of the segment against standing, in units of 0.1 rad."""
+    standing = Rotation.from_matrix(context.pelvis_rotation[: context.start]).mean()
+    turned = (standing.inv() * Rotation.from_matrix(context.pelvis_rotation)).as_rotvec()
+    tilt_list_heading = turned[:, [1, 0, 2]]
+    return np.asarray(signals.lowpass(tilt_list_heading, _rate(context), _BAND_HZ, 2) / _ANGLE_RAD)
+
+
+def _turned_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    angles = np.column_stack([np.ones(len(context.time_s)), _angles(context)])
+    way = _WAY_M * np.einsum("nk,mkc->mnc", angles, values.reshape(len(values), 4, 3))
+    return np.asarray(paths + np.einsum("nij,mnj->mni", context.interface_rotation, way)[:, :, None])
+
+
+def _displaced(
+    context: Context, way: np.ndarray, turn: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the segment's path displaced by ways (n, 3) [m] and turns (n, 3) [rad] along its own axes."""
+    rotation, position = context.pelvis_rotation, context.pelvis_position
+    moved = position + np.einsum("nij,nj->ni", rotation, way)
+    return (rotation if turn is None else rotation @ Rotation.from_rotvec(turn).as_matrix()), moved
+
+
+def _late_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    rate, rotation = _rate(context), context.pelvis_rotation
+    turned = (Rotation.from_matrix(rotation[0]).inv() * Rotation.from_matrix(rotation)).as_rotvec()
+    both = np.hstack([context.pelvis_position, turned])
+    moved = both - np.tensordot(values, np.array(_derivatives(both, rate, len(values))), axes=1)
+    return rotation[0] @ Rotation.from_rotvec(moved[:, 3:]).as_matrix(), moved[:, :3]
+
+
+def _drifting_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    powers = _passed(context)[:, None] ** np.arange(1, 4)
+    return _displaced(context, _WAY_M * powers @ values.reshape(3, 3))
+
+
+def _turned_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    angles = _angles(context)
+    way, turn = values.reshape(2, 3, 3)
+    return _displaced(context, _WAY_M * angles @ way, _TURN_RAD * angles @ turn)

@@ -1,0 +1,115 @@
+"""A measured law on the page of a diagnosis: one sentence, its curve with a band, its equation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from real2sim.pages import style
+from real2sim.pages.page import page_style, paragraph, percent, picture, rounded, section, table
+
+_DEGREES = 180 / math.pi
+# Variables in words; coordinates and rates of the interface keep their names
+_VARIABLES = {
+    "pelvis_tilt": "the pelvis' tilt",
+    "pelvis_list": "the pelvis' list",
+    "pelvis_heading": "the pelvis' heading",
+    "pelvis_height": "the pelvis' height",
+    "pelvis_speed": "the walking speed",
+    "place_x": "the robot's place along x",
+    "place_y": "the robot's place along y",
+    "heading": "the robot's heading",
+    "rate": "the rate of the path",
+    "time": "time",
+}
+
+
+def law_section(law: Mapping[str, Any] | None, *, phantom: bool) -> list[str]:
+    """Return the section of a measured law, nothing without one; ``law`` is ``free_form`` of diagnosis.json."""
+    if law is None:
+        return []
+    parts = [paragraph(sentence(law))]
+    if law["curve"] is not None:
+        parts += ['<div class="grid">', _picture(law["curve"], phantom=phantom), "</div>"]
+    if law["equation"]:
+        parts.append(_equation(law))
+    return [section("law", "The law that was measured", *parts)]
+
+
+def sentence(law: Mapping[str, Any]) -> str:
+    """Return place, variables, kind and share of the gap of a law, and what it does not claim, in plain words."""
+    on = " and ".join(_words(name) for name in law["depends_on"])
+    if law["kind"] == "measurement":
+        what = "interface markers" if law["stage"] == "output" else "segment's path"
+        text = f"The gap looks like a displacement of the {what} that depends on {on}"
+    else:
+        text = f"The gap looks like a force along {' and '.join(law['axes'])} that depends on {on}"
+        text += f" ({law['kind']})"
+    if law["gap_closed"] is not None:
+        low, high = (percent(x).removesuffix(" %") for x in law["gap_closed_ci95"])
+        text += (
+            f"; with it J falls by {percent(law['gap_closed'])} ({low} to {high}) of what lies above noise"
+        )
+    text += (
+        f", and {percent(law['chi2_closed'])} of chi-squared on the trial that it was not fitted to is gone. "
+    )
+    if law["nearest"] is not None and law["nearest"]["gap_closed"] is not None:
+        closest = law["nearest"]
+        text += f"The best set of names, {closest['effect']}, closes {percent(closest['gap_closed'])}. "
+    if len(law["families"]) > 1:
+        text += f"{len(law['families'])} such laws act together; the first one is told here. "
+    return text + (
+        "It describes what these trials show, within the range that the fitted one visited. It is no proof of a cause."
+    )
+
+
+def _words(name: str) -> str:
+    if name.startswith("history of "):
+        return f"the history of {_words(name.removeprefix('history of '))}"
+    if name.startswith("rate of "):
+        return f"the rate of {_words(name.removeprefix('rate of '))}"
+    return _VARIABLES.get(name, name)
+
+
+def _picture(curve: Mapping[str, Any], *, phantom: bool) -> str:
+    unit = curve["unit"]
+    factor, shown = {"m": (1e3, "mm"), "rad": (_DEGREES, "deg")}.get(unit, (1.0, unit))
+    if unit == "rad/s":
+        factor, shown = _DEGREES, "deg/s"
+    grid = factor * np.array(curve["grid"])
+    with page_style():
+        figure = style.new_figure(2.6, phantom=phantom)
+        axes = figure.subplots()
+        axes.axhline(0, color=style.GREY, linewidth=0.6)
+        axes.fill_between(
+            grid, curve["low"], curve["high"], color=style.BLUE, alpha=0.25, label="95 % band", linewidth=0
+        )
+        axes.plot(grid, curve["mean"], color=style.BLUE, label="measured law")
+        axes.set_xlabel(f"{curve['variable']} [{shown}]")
+        axes.set_ylabel(f"{curve['quantity']} [{curve['quantity_unit']}]")
+        axes.legend()
+        caption = (
+            "The measured law over the range that the fitted trial visited, without its linear part: that is stiffness "
+            "or damping of the axis."
+        )
+        alt = f"{curve['quantity']} over {curve['variable']} with its band"
+        return picture(figure, "law", alt, caption)
+
+
+def _equation(law: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            escape(row["on"]),
+            escape(row["term"]),
+            rounded(row["value"]),
+            f"{rounded(row['ci95'][0])} to {rounded(row['ci95'][1])}",
+            escape(row["unit"]),
+        ]
+        for row in law["equation"]
+    ]
+    caption = "Terms that carry most of the law, with 95 % intervals; a unit that names no variable is of a large one."
+    return table(["On", "Term", "Value", "95 %", "Unit"], rows, caption=caption, numeric=(2,))

@@ -340,7 +340,8 @@ def decoder(channel: Channel) -> Callable[[bytes], Any]:
         named = f"encoding {kind[0]!r} with schema {kind[1]!r}"
         raise Undecodable(f"{named} is not read", "encoding")
     try:
-        with contextlib.redirect_stdout(None):  # the parser of definitions prints what it raises
+        # the parser of definitions prints what it raises
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
             return _cdr(channel) if kind[0] == "cdr" else _protobuf(channel)
     except Exception as error:  # both libraries raise many kinds, by what is odd
         raise Undecodable(f"its definition cannot be read: {error}"[:200], "schema") from error

@@ -167,6 +167,7 @@ def test_damaged_recordings_are_refused_with_a_code(tmp_path, system, suffix):
     raw = path.read_bytes()
     r2s.Recording.read(system, path)
     rng = np.random.default_rng(8)
+    incomplete = []
     for _ in range(150):
         data = bytearray(raw)
         for _ in range(int(rng.integers(1, 5))):
@@ -175,8 +176,8 @@ def test_damaged_recordings_are_refused_with_a_code(tmp_path, system, suffix):
         try:
             r2s.Recording.read(system, path)
         except InputError as error:
-            assert error.code
-            assert error.remedy
+            incomplete += [] if error.code and error.remedy else [str(error)]
+    assert not incomplete
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,10 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.joint_states import read_joint_states
 from real2sim.recording.formats.recordings import Finding
+from real2sim.recording.formats.text import check_number_of_names
 from real2sim.system.description import POSE, System
 
 TIME = "time_s"
@@ -20,6 +24,8 @@ TIME = "time_s"
 UNEVEN = 0.01
 # Samples on the even clock, as a multiple of the messages of a joint
 _MOST_SAMPLES = 4
+# Columns of a table may take so many times the file's size, or so many bytes if that is more
+_MOST_UNPACKED, _SMALL = 5, 1 << 24
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,7 @@ class Recording:
             raise InputError(
                 source,
                 f"column {', '.join(missing)}",
-                f"columns {', '.join(map(str, table.columns))}",
+                f"columns {', '.join(map(str, table.columns[:50]))}",
                 f"the columns of system {system.name}: {', '.join((TIME, *wanted))}",
                 "Rename or add the columns; units stand in the names.",
                 "column_missing",
@@ -159,10 +165,46 @@ def _read_table(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]
     if suffix == ".mcap":
         return _joint_states(path, system)
     try:
-        return (pd.read_parquet(path) if suffix == ".parquet" else pd.read_csv(path)), []
+        names = _read_names(path)
+        wanted = [name for name in (TIME, *required_columns(system)) if name in names]
+        if len(wanted) < 1 + len(required_columns(system)):
+            return pd.DataFrame(columns=names), []
+        if suffix == ".parquet":
+            _check_parquet(path, wanted)
+            return pd.read_parquet(path, columns=wanted), []
+        return pd.read_csv(path, usecols=wanted), []
+    except InputError:
+        raise
     except Exception as error:  # Arrow and pandas raise many kinds, by what is damaged
         found = " ".join(str(error).split())[:300] or type(error).__name__
         raise InputError(path, "", found, "a table", "Export it anew.", "damaged") from error
+
+
+def _read_names(path: Path) -> list[str]:
+    """Names of the columns of a table."""
+    if path.suffix.lower() == ".parquet":
+        return list(pq.read_schema(path).names)
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        names = next(csv.reader(stream), [])
+    if not names:
+        raise InputError(path, "", "an empty file", "a table", "Export it anew.", "empty")
+    check_number_of_names(path, "line 1", names, "Export the columns that the system names.")
+    return names
+
+
+def _check_parquet(path: Path, wanted: list[str]) -> None:
+    """Refuse columns that are no numbers, and small files of many rows, before anything is unpacked."""
+    file = pq.ParquetFile(path)
+    for name in wanted:
+        kind = file.schema_arrow.field(name).type
+        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            expected = "numbers, empty where nothing was seen"
+            raise InputError(path, f"column {name}", f"{kind}", expected, "Correct it.", "not_a_number")
+    size = 8 * len(wanted) * file.metadata.num_rows
+    if size > max(_MOST_UNPACKED * path.stat().st_size, _SMALL):
+        found = f"{file.metadata.num_rows} rows in a file of {path.stat().st_size} bytes"
+        expected = f"columns that unpack to no more than {_MOST_UNPACKED} times the file"
+        raise InputError(path, "", found, expected, "Export it as .csv, or with fewer rows.", "too_large")
 
 
 def _joint_states(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]]:

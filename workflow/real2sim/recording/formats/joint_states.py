@@ -21,6 +21,7 @@ from real2sim.recording.formats.stamps import (
 )
 
 _BATCH = 1 << 22  # bytes of a topic that are decoded at once
+_BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times their bytes
 _LAST_NS = 1 << 62  # the year 2116
 _RECORD = "record it again with `ros2 bag record --storage mcap`"
 
@@ -99,7 +100,7 @@ def read_joint_states(
         topic.waiting.append(message.data)
         topic.logged.append(message.log_time)
         topic.bytes_waiting += len(message.data)
-        if topic.bytes_waiting > _BATCH:
+        if topic.bytes_waiting > _BATCH or len(topic.waiting) >= _BATCH_MESSAGES:
             topic.flush(path, joints)
     for topic in topics.values():
         topic.flush(path, joints)

@@ -309,6 +309,7 @@ def write_log(path: Path, log: RobotLog, *, metadata: dict[str, str] | None = No
 
 _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it out"
 _BATCH = 1 << 22  # bytes of a topic that are decoded at once
+_BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times their bytes
 _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
 _MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
@@ -327,7 +328,8 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
     findings = contents.findings
     for topic in ("/odom", "/joint_states"):
         if topic not in topics:
-            found = f"topics {', '.join(sorted({c.topic for c in contents.channels.values()})) or 'none'}"
+            names = sorted({c.topic for c in contents.channels.values()})
+            found = f"topics {', '.join(names[:50]) or 'none'}" + (", ..." if len(names) > 50 else "")
             expected, remedy = f"{topic} ({TOPICS[topic]})", "record the topic, or remap it"
             raise InputError(path, f"topic {topic}", found, expected, remedy, "topic_missing")
     stamped = [topic.stamped() for topic in topics.values() if topic.channel.topic != "/sync"]
@@ -387,7 +389,7 @@ class _Topic:
         self.waiting.append(payload)
         self.logged_waiting.append(logged)
         self.bytes_waiting += len(payload)
-        if self.bytes_waiting > _BATCH:
+        if self.bytes_waiting > _BATCH or len(self.waiting) >= _BATCH_MESSAGES:
             self.flush()
 
     def flush(self) -> None:

@@ -292,7 +292,7 @@ def _npz(path: Path, size: float) -> None:
 def _log(
     messages: Callable[[int], tuple[str, str, str, bytes, bytes]], unpacked: float = 1.0
 ) -> Callable[[Path, float], None]:
-    """A writer of a log of messages (topic, schema, encoding, definition, payload) whose chunks unpack to ``unpacked``."""
+    """A writer of messages (topic, schema, encoding, definition, payload) whose chunks unpack to ``unpacked``."""
 
     def write(path: Path, size: float) -> None:
         from mcap.writer import CompressionType, IndexType, Writer

@@ -82,8 +82,10 @@ def two_topics(stamp, late_s, n=300):
 
 
 def largest_error(recording):
-    roll = motion(ROLL, np.arange(len(recording.time_s)) / 100)
-    return float(np.abs(recording.columns["arm_roll_rad"] - roll).max())
+    """Departure of both joints from their motion, from the first sample on which both were measured."""
+    t = recording.time_s
+    columns = {LIFT: "arm_lift_m", ROLL: "arm_roll_rad"}
+    return max(float(np.abs(recording.columns[c] - motion(joint, t)).max()) for joint, c in columns.items())
 
 
 EPOCH_NS = START_NS - 1000 * SECOND  # the robot's clock counts from its start
@@ -101,7 +103,7 @@ EPOCH_NS = START_NS - 1000 * SECOND  # the robot's clock counts from its start
     ],
 )
 def test_a_log_of_a_described_system_is_read_by_its_stamps(tmp_path, system, stamp):
-    """By log time arm_roll is off by 0.3 rad; by single stamps that are missing the clock is torn."""
+    """By log time the joints are 50 ms apart, 0.3 rad; single stamps that are missing tear the clock."""
     path = write_json(tmp_path / "train.mcap", two_topics(stamp, 0.05))
     recording = r2s.Recording.read(system, path)
     assert largest_error(recording) < 0.01
@@ -213,6 +215,17 @@ def test_a_model_that_attaches_itself_is_refused_before_it_ends_the_process(tmp_
         load_robot(tmp_path / "a.xml")
     assert caught.value.code == "model"
     assert "attaches itself" in caught.value.found
+
+
+@pytest.mark.parametrize("head", ['<?xml version="1.0" encoding="UTF-16"?>', "<!-- a -- b -->"])
+def test_parts_of_a_model_that_is_no_sound_xml_are_found(tmp_path, head):
+    """MuJoCo reads both, and so crashed on those that attach themselves."""
+    path = tmp_path / "robot.xml"
+    path.write_text(f'{head}<mujoco><asset><model name="m" file="robot.xml"/></asset></mujoco>')
+    with pytest.raises(InputError, match="attaches itself"):
+        load_robot(path)
+    path.write_text(f"{head}<mujoco><include file='part.xml'/><!-- <include file='old.xml'/> --></mujoco>")
+    assert [p.name for p in model_files(path)] == ["robot.xml", "part.xml"]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ stack of its C parser. All three are refused with the line.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
 
 import yaml
@@ -101,6 +102,9 @@ def _check_keys(loader: Any, node: Any) -> None:
         if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
             continue
         name, line = loader.construct_object(key), key.start_mark.line + 1
+        if not isinstance(name, Hashable):
+            found = f"a key that is a {type(name).__name__}"
+            raise YamlRefusal(line, found, "keys that are text", "Write the key as text.")
         if name in first:
             found = f"key '{key.value}' twice, first in line {first[name]}"
             raise YamlRefusal(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 # Attributes of the elements below <asset> that name a file, and the attribute of <compiler> with their folder
 _FOLDERS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_TAG = re.compile(r"<(\w+)([^<>]*)>")
+_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _SIDES = ("right", "left", "up", "down", "front", "back")
 
 
@@ -98,8 +102,23 @@ def _root(part: Path) -> ET.Element | None:
         return None
     try:
         return ET.parse(part).getroot()
-    except (OSError, ET.ParseError, LookupError, ValueError):  # the last two of encodings that Python lacks
+    except OSError:
         return None
+    except (ET.ParseError, LookupError, ValueError):  # the last two of encodings that Python lacks
+        return _by_tags(part)
+
+
+def _by_tags(part: Path) -> ET.Element:
+    """Return the tags and attributes of a file that is no sound XML, one beside the other.
+
+    MuJoCo reads some of them all the same: those with -- in a comment, or with a wrong encoding in their first line.
+    """
+    root = ET.Element("mujoco")
+    text = _COMMENT.sub("", part.read_bytes().decode(errors="replace"))
+    for tag, attributes in _TAG.findall(text):
+        values = {name: double or single for name, double, single in _ATTRIBUTE.findall(attributes)}
+        ET.SubElement(root, tag, values)
+    return root
 
 
 def _folders_of(part: Path) -> dict[str, str]:

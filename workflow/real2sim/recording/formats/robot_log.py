@@ -734,7 +734,8 @@ def _needed(path: Path, topic: str, group: Group) -> dict[str, np.ndarray]:
     values = group.values
     if topic == "/odom":
         x, y, z, w = values["orientation"].T
-        length = np.sqrt(x * x + y * y + z * z + w * w)
+        with np.errstate(over="ignore"):  # an infinite length is none of a rotation, and refused
+            length = np.sqrt(x * x + y * y + z * z + w * w)
         if not (np.abs(length - 1) < _UNIT).all():
             index = int(group.index[np.argmax(~(np.abs(length - 1) < _UNIT))]) + 1
             place, found = f"topic {topic}, message {index}", "an orientation that is no unit quaternion"

@@ -5,10 +5,13 @@ import tracemalloc
 from pathlib import Path
 
 import numpy as np
+import pytest
 import scipy.io
 from mcap.writer import CompressionType, IndexType, Writer
 from real2sim.errors import InputError
 from real2sim.recording.formats import detect, qualisys_mat
+
+from benchmarks import crafted
 
 FLOOR = 100e6  # bytes of memory that reading any file may take
 
@@ -102,3 +105,48 @@ def test_a_tsv_that_leaves_out_half_of_its_frames_is_read(tmp_path):
     error, peak, _ = cost(detect.read, path)
     assert error is None
     assert peak < 20 * path.stat().st_size
+
+
+# -------------------- cases of benchmarks/crafted.py that were above a bar, or took for ever
+
+ABOVE_A_BAR = {
+    ("TSV", "cells of one digit"): 5.0,
+    ("TSV", "one marker, a blank before the last number"): 5.0,
+    ("TSV", "cells of one digit, a word at the end"): 5.0,
+    ("TSV", "three of four frames left out"): 5.0,
+    ("TSV", "markers without number"): 5.0,
+    ("TSV", "events"): 5.0,
+    ("TSV", "a header key again and again"): 5.0,
+    ("TRC", "landmarks without number"): 5.0,
+    ("MOT", "columns without number"): 5.0,
+    ("C3D", "60 000 points of one name"): 1.0,
+    ("CSV", "columns without number"): 5.0,
+    ("YAML", "a list"): 1.0,
+    ("MAT", "empty arrays, packed 5 times"): 1.0,
+    ("Parquet", "ten million zeros"): 1.0,
+    ("Parquet", "long words for numbers"): 1.0,
+    ("checkpoint", "zeros"): 1.0,
+    ("MCAP", "joint states of one name each"): 2.0,
+    ("MCAP", "/sync in CDR, packed 19 times"): 2.0,
+    ("MCAP", "joint states in JSON, packed 19 times"): 2.0,
+    ("MCAP", "lists of lists in JSON"): 4.0,
+    ("MCAP", "a definition of 1 MB"): 2.0,
+}
+CASES = {(reader, kind): (name, write, read) for reader, kind, name, write, read in crafted.cases()}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _loaded(tmp_path_factory):
+    crafted.warm(tmp_path_factory.mktemp("warm"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux has it")
+@pytest.mark.parametrize(("reader", "kind"), ABOVE_A_BAR, ids=[" ".join(key) for key in ABOVE_A_BAR])
+def test_a_crafted_file_keeps_the_bars(tmp_path, reader, kind):
+    name, write, read = CASES[reader, kind]
+    path = tmp_path / name
+    write(path, ABOVE_A_BAR[reader, kind])
+    grown, seconds, outcome = crafted.measure(read, path, limit_s=30)
+    size = path.stat().st_size / crafted.MB
+    assert outcome.startswith(("read", "refused")), outcome
+    assert crafted.within(grown, seconds, size), f"{grown:.0f} MB and {seconds:.1f} s for {size:.2f} MB"

@@ -573,6 +573,7 @@ def test_protobuf_payload_with_other_fields_is_refused(tmp_path):
         ('"orientation"', '"orient"', "field_missing"),
         ('"x": ', '"x": true, "was": ', "payload"),
         ('"w": ', '"w": 9', "quaternion"),
+        ('"w": ', '"w": 1e300, "was": ', "quaternion"),
         ('"linear": {"x": ', '"linear": {"x": NaN, "was": ', "not_finite"),
         ('"pose": {"pose"', '"pose": [{"pose"', "payload"),
         ('"name": [', '"name": ["arm_lift", ', "names"),

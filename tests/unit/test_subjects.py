@@ -236,6 +236,8 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
         pytest.param("- " * 100_000, "nested more than", id="deep dashes"),
         pytest.param(BOMB, "aliases", id="aliases of aliases"),
         pytest.param("a: &a [*a]\n", "alias inside of what it stands for", id="alias of itself"),
+        pytest.param("? !!set {a, b}\n: 1\n", "subject.yaml", id="a set as a key"),
+        pytest.param("!!set a: 1\n", "a key that is a set", id="a word as a set"),
         pytest.param("id: 2026-13-45\n", "cannot be read: month", id="a date that is none"),
         pytest.param("mass_kg: " + "9" * 400, "than the maximum of 300", id="a huge number"),
     ],

@@ -24,18 +24,19 @@ def read_yaml(path: Path) -> Any:
         if path.exists() and not path.is_file():
             # opening a pipe would wait for ever
             what = "a folder" if path.is_dir() else "a pipe, socket or device"
-            raise InputError(path, "", what, "a YAML file", "Put the file in its place.")
+            raise InputError(path, "", what, "a YAML file", "Put the file in its place.", "no_file")
         return parse_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise InputError(path, "", "no such file", "a YAML file", "Check the path.") from error
+        raise InputError(path, "", "no such file", "a YAML file", "Check the path.", "no_file") from error
     except OSError as error:
         found, remedy = error.strerror or str(error), "Check the path and who may read it."
-        raise InputError(path, "", found, "a YAML file", remedy) from error
+        raise InputError(path, "", found, "a YAML file", remedy, "unreadable") from error
     except UnicodeDecodeError as error:
-        raise InputError(path, "", "bytes that are not UTF-8", "YAML text", "Save it as UTF-8.") from error
+        found, remedy = "bytes that are not UTF-8", "Save it as UTF-8."
+        raise InputError(path, "", found, "YAML text", remedy, "yaml") from error
     except YamlRefusal as error:
         place = f"line {error.line}" if error.line else ""
-        raise InputError(path, place, error.found, error.expected, error.remedy) from error
+        raise InputError(path, place, error.found, error.expected, error.remedy, "yaml") from error
 
 
 @cache
@@ -84,13 +85,15 @@ def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: 
             f"unknown key {', '.join(map(repr, unknown))}",
             f"one of {', '.join(known)}",
             remedy,
+            "key_unknown",
         )
     if error.validator == "required":
         expected = f"keys {', '.join(cast('list[str]', error.validator_value))}"
-        return InputError(source, place, error.message, expected, "Add the key.")
+        return InputError(source, place, error.message, expected, "Add the key.", "key_missing")
     message = _shortened(error.message)
     expected = str(failed.get("description", "a value that the schema allows"))
-    return InputError(source, place, message, expected, "Correct the value; config/README.md has the keys.")
+    remedy = "Correct the value; config/README.md has the keys."
+    return InputError(source, place, message, expected, remedy, "value")
 
 
 def _shortened(text: str) -> str:
@@ -120,7 +123,9 @@ def _check_finite(value: Any, schema: dict[str, Any], source: Path) -> None:
         expected = (
             f"a finite number ({about['description']})" if "description" in about else "a finite number"
         )
-        raise InputError(source, place, f"{found}", expected, "Write the number, or remove the line.")
+        raise InputError(
+            source, place, f"{found}", expected, "Write the number, or remove the line.", "not_finite"
+        )
 
 
 def _check_low_pass(content: dict[str, Any], source: Path) -> None:
@@ -130,7 +135,7 @@ def _check_low_pass(content: dict[str, Any], source: Path) -> None:
         found = f"a cut-off of {cutoff:g} Hz with ingest.rate_hz at {rate:g} Hz"
         expected = f"less than half of ingest.rate_hz ({rate / 2:g} Hz)"
         remedy = "Lower ingest.cutoff_hz, or raise ingest.rate_hz."
-        raise InputError(source, "ingest.cutoff_hz", found, expected, remedy)
+        raise InputError(source, "ingest.cutoff_hz", found, expected, remedy, "value")
 
 
 def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:

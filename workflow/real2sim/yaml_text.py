@@ -6,6 +6,7 @@ stack of its C parser. All three are refused with the line.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
 
 import yaml
@@ -13,6 +14,7 @@ import yaml
 # The parser of libyaml is ten times as fast as that in Python, and part of every PyYAML that pip installs
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _DEEPEST = 40  # levels of nesting; the study's configuration has six
+_LARGEST = 50_000  # values of a document; each takes half a kilobyte
 _MOST_VALUES = 20_000  # values of a document with aliases, each alias counted as what it stands for
 
 
@@ -53,14 +55,18 @@ def parse_yaml(text: str) -> Any:
 
 
 def _check_depth(text: str) -> None:
-    """Refuse deep nesting by the parser's events: they come without recursion, the tree of values does not."""
-    depth = 0
+    """Refuse deep nesting and large documents by the parser's events: they come without recursion or a tree."""
+    depth = values = 0
+    expected = "keys and values as the documentation has them"
     for event in yaml.parse(text, Loader=_LOADER):
+        values += isinstance(event, yaml.NodeEvent)
+        if values > _LARGEST:
+            found, remedy = f"more than {_LARGEST} values", "Check that it is the file that is meant."
+            raise YamlRefusal(0, found, expected, remedy)
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > _DEEPEST:
                 mark, found = event.start_mark, f"values nested more than {_DEEPEST} deep"
-                expected = "keys and values as the documentation has them"
                 raise YamlRefusal(mark.line + 1 if mark else 0, found, expected, "Remove the nesting.")
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
@@ -96,6 +102,9 @@ def _check_keys(loader: Any, node: Any) -> None:
         if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
             continue
         name, line = loader.construct_object(key), key.start_mark.line + 1
+        if not isinstance(name, Hashable):
+            found = f"a key that is a {type(name).__name__}"
+            raise YamlRefusal(line, found, "keys that are text", "Write the key as text.")
         if name in first:
             found = f"key '{key.value}' twice, first in line {first[name]}"
             raise YamlRefusal(

@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
+from real2sim.diagnosis.site_check import check_sites
 from real2sim.diagnosis.system_evidence import Measured, Simulated, SystemEvidence
 from real2sim.effects.base import Scales
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
@@ -114,7 +115,7 @@ class DescribedTrial:
         return segment_frame(self._system, flat)
 
     def _anchor_of(self) -> Anchor:
-        middle = self._sites().mean(axis=0)
+        places = self._sites()
         if self._system.rest != "quiet" or self._quiet is None:
             raise InputError(
                 self._recording.name,
@@ -132,8 +133,14 @@ class DescribedTrial:
                 f"at least {least:g} s of standing still",
                 "Record longer.",
             )
+        segment, interface = (
+            np.nanmean(self._quiet.markers(names), axis=0)
+            for names in (self._system.markers.segment, self._system.markers.interface)
+        )
+        logged = {j: float(np.nanmean(self._quiet.columns[c])) for j, c in log_columns(self._system).items()}
+        check_sites(self._system, places, segment, interface, logged)
         rotation, position = self._relative(self._quiet)
-        return Anchor(middle, RestPose(mean_rotation(rotation), position.mean(axis=0)))
+        return Anchor(places.mean(axis=0), RestPose(mean_rotation(rotation), position.mean(axis=0)))
 
     def _relative(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the interface in the segment, (n, 3, 3) and (n, 3) [m]."""

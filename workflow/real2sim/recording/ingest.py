@@ -20,6 +20,7 @@ from real2sim.recording.formats.detect import read_log, read_markerless, read_ma
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translation
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
 from real2sim.recording.formats.robot_log import ARM_JOINTS
+from real2sim.recording.formats.stamps import large_delays
 from real2sim.recording.quality import markers
 from real2sim.recording.standing import check_standing
 from real2sim.recording.subjects import SUBJECT_FILE, TrialFiles, parse_trial, read_subject
@@ -511,16 +512,7 @@ def _robot(
 
 def _stamp_delays(trial: _Trial, path: Path, log: RobotLog) -> dict[str, dict[str, float]]:
     """Median and spread [s] of the delay from stamp to log time by topic; warn where one is large."""
-    limit = trial.settings["robot_log"]["stamps"]["delay_warn_s"]
-    for topic, delay in log.delays.items():
-        median = delay.beyond_clock_s if delay.other_clock else delay.median_s
-        if max(abs(median), delay.spread_s) > limit:
-            against = "the first topic of its clock" if delay.other_clock else "its stamps"
-            message = (
-                f"logged {1e3 * median:.1f} ms after {against} (median), spread {1e3 * delay.spread_s:.1f} ms"
-            )
-            action = "stamps are used; /sync has none, its time is the log's"
-            trial.note("stamp_delay", "warning", path, topic, message, action)
+    trial.findings += large_delays(path, log.delays, trial.settings["robot_log"]["stamps"])
     return {
         topic: {"median": delay.median_s, "beyond_clock": delay.beyond_clock_s, "spread": delay.spread_s}
         for topic, delay in log.delays.items()

@@ -244,9 +244,8 @@ def _files(folder: Path) -> dict[str, dict[str, Path]]:
             raise InputError(folder / name, "", _FOLDER, f"a {kind}", remedy, "no_file")
         if kind is None:
             expected = f"{SUBJECT_FILE} and trials as {', '.join(_KIND_OF)}"
-            raise InputError(
-                folder / name, "", "an unknown kind of file", expected, "move it elsewhere", "file_kind"
-            )
+            what = _FOLDER if found_as == _FOLDER else "an unknown kind of file"
+            raise InputError(folder / name, "", what, expected, "move it elsewhere", "file_kind")
         if kind == "marker export" and trial.endswith("_6D"):
             kind, trial = "6D export", trial.removesuffix("_6D")
         if not _TRIAL.fullmatch(trial):

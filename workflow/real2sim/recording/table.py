@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from real2sim.errors import InputError
-from real2sim.recording.formats.mcap_file import Undecodable, decoder, read_messages
+from real2sim.recording.formats.joint_states import read_joint_states
+from real2sim.recording.formats.recordings import Finding
+from real2sim.recording.formats.text import check_number_of_names
 from real2sim.system.description import POSE, System
 
 TIME = "time_s"
 # Largest departure of an interval between samples from their mean, as a share of it
 UNEVEN = 0.01
+# Samples on the even clock, as a multiple of the messages of a joint
+_MOST_SAMPLES = 4
+# Columns of a table may take so many times the file's size, or so many bytes if that is more
+_MOST_UNPACKED, _SMALL = 5, 1 << 24
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One trial: ``columns`` (n,) by name [SI] at ``time_s`` (n,), evenly spaced [s]; NaN where a marker was lost."""
+    """One trial: ``columns`` (n,) by name [SI] at ``time_s`` (n,), evenly spaced [s]; NaN where a marker was lost.
+
+    ``findings`` lists what was odd in the file and what was done about it (docs/quality-codes.md).
+    """
 
     name: str
     time_s: np.ndarray
     columns: Mapping[str, np.ndarray]
+    findings: tuple[Finding, ...] = ()
 
     @classmethod
     def read(cls, system: System, path: Path | str) -> Recording:
@@ -38,7 +50,8 @@ class Recording:
             Naming the file and the column, where one is missing, not a number, or the times are not even.
         """
         path = Path(path)
-        return cls.from_table(system, _read_table(path, system), path.stem, path)
+        table, findings = _read_table(path, system)
+        return replace(cls.from_table(system, table, path.stem, path), findings=tuple(findings))
 
     @classmethod
     def from_table(
@@ -52,9 +65,10 @@ class Recording:
             raise InputError(
                 source,
                 f"column {', '.join(missing)}",
-                f"columns {', '.join(map(str, table.columns))}",
+                f"columns {', '.join(map(str, table.columns[:50]))}",
                 f"the columns of system {system.name}: {', '.join((TIME, *wanted))}",
                 "Rename or add the columns; units stand in the names.",
+                "column_missing",
             )
         columns = {c: _numbers(table[c], source) for c in (TIME, *wanted)}
         time_s = columns.pop(TIME)
@@ -112,6 +126,7 @@ def _numbers(column: pd.Series, source: Path) -> np.ndarray:
             str(error),
             "numbers, empty where nothing was seen",
             "Correct it.",
+            "not_a_number",
         ) from error
 
 
@@ -124,6 +139,7 @@ def _check_time(time_s: np.ndarray, source: Path) -> None:
             f"{len(time_s)} samples, not all finite",
             "ten and more, all finite",
             "Export it anew.",
+            "time_uneven",
         )
     if np.abs(steps - steps.mean()).max() > UNEVEN * steps.mean() or steps.mean() <= 0:
         row = int(np.argmax(np.abs(steps - steps.mean()))) + 1
@@ -133,73 +149,91 @@ def _check_time(time_s: np.ndarray, source: Path) -> None:
             f"an interval of {steps[row - 1]:.6g} s where the mean is {steps.mean():.6g} s",
             "evenly spaced times",
             "Resample the recording on one clock.",
+            "time_uneven",
         )
 
 
-def _read_table(path: Path, system: System) -> pd.DataFrame:
-    """Rows of a table or of the joint states of a log."""
+def _read_table(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]]:
+    """Rows of a table or of the joint states of a log, and findings."""
     suffix = path.suffix.lower()
     if suffix not in (".parquet", ".csv", ".mcap"):
-        raise InputError(
-            path, "", f"a file {suffix}", "a table .parquet or .csv, or a log .mcap", "Export it as one."
-        )
+        found, expected = f"a file {suffix}", "a table .parquet or .csv, or a log .mcap"
+        raise InputError(path, "", found, expected, "Export it as one.", "unknown_format")
     if not path.is_file():
-        raise InputError(path, "", "no such file", "a recording", "Check the path.")
+        found = "no file" if path.exists() else "no such file"
+        raise InputError(path, "", found, "a recording", "Check the path.", "no_file")
     if suffix == ".mcap":
         return _joint_states(path, system)
     try:
-        return pd.read_parquet(path) if suffix == ".parquet" else pd.read_csv(path)
-    except (ValueError, OSError) as error:
-        raise InputError(path, "", str(error), "a table", "Export it anew.") from error
+        names = _read_names(path)
+        wanted = [name for name in (TIME, *required_columns(system)) if name in names]
+        if len(wanted) < 1 + len(required_columns(system)):
+            return pd.DataFrame(columns=names), []
+        if suffix == ".parquet":
+            _check_parquet(path, wanted)
+            return pd.read_parquet(path, columns=wanted), []
+        return pd.read_csv(path, usecols=wanted), []
+    except InputError:
+        raise
+    except Exception as error:  # Arrow and pandas raise many kinds, by what is damaged
+        found = " ".join(str(error).split())[:300] or type(error).__name__
+        raise InputError(path, "", found, "a table", "Export it anew.", "damaged") from error
 
 
-def _joint_states(path: Path, system: System) -> pd.DataFrame:
-    """Joint positions ``<joint>_m`` or ``_rad`` and efforts ``<joint>_N`` or ``_Nm`` of a log, on one even clock.
+def _read_names(path: Path) -> list[str]:
+    """Names of the columns of a table."""
+    if path.suffix.lower() == ".parquet":
+        return list(pq.read_schema(path).names)
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        names = next(csv.reader(stream), [])
+    if not names:
+        raise InputError(path, "", "an empty file", "a table", "Export it anew.", "empty")
+    check_number_of_names(path, "line 1", names, "Export the columns that the system names.")
+    return names
 
-    Times are those of the messages' headers. Each topic of sensor_msgs/JointState is read.
-    """
+
+def _check_parquet(path: Path, wanted: list[str]) -> None:
+    """Refuse columns that are no numbers, and small files of many rows, before anything is unpacked."""
+    file = pq.ParquetFile(path)
+    for name in wanted:
+        kind = file.schema_arrow.field(name).type
+        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            expected = "numbers, empty where nothing was seen"
+            raise InputError(path, f"column {name}", f"{kind}", expected, "Correct it.", "not_a_number")
+    size = 8 * len(wanted) * file.metadata.num_rows
+    if size > max(_MOST_UNPACKED * path.stat().st_size, _SMALL):
+        found = f"{file.metadata.num_rows} rows in a file of {path.stat().st_size} bytes"
+        expected = f"columns that unpack to no more than {_MOST_UNPACKED} times the file"
+        raise InputError(path, "", found, expected, "Export it as .csv, or with fewer rows.", "too_large")
+
+
+def _joint_states(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]]:
+    """Joint positions ``<joint>_m`` or ``_rad`` and efforts ``<joint>_N`` or ``_Nm`` of a log, on one even clock."""
     units = system.joint_units
-    rows: dict[str, list[tuple[float, float]]] = {}
-    for message in read_messages(path):
-        if not message.channel.schema_name.endswith("JointState"):
-            continue
-        try:
-            state = decoder(message.channel)(message.data)
-        except Undecodable as error:
-            raise InputError(
-                path, message.channel.topic, str(error), "joint states", "Record it anew."
-            ) from error
-        at = _stamp_s(state, message.log_time)
-        for quantity, forces in (("position", False), ("effort", True)):
-            for joint, value in zip(_field(state, "name"), _field(state, quantity), strict=False):
-                if joint in units:
-                    unit = units[joint]
-                    unit = ("N" if unit == "m" else "Nm") if forces else unit
-                    rows.setdefault(f"{joint}_{unit}", []).append((at, float(value)))
-    if not rows:
-        raise InputError(
-            path, "", "no joint states of this system", f"joints {', '.join(units)}", "Name the joints so."
-        )
-    return _on_one_clock(rows)
+    states, findings = read_joint_states(path, units)
+    series = {}
+    for (joint, quantity), values in states.items():
+        unit = units[joint]
+        if quantity == "effort":
+            unit = "N" if unit == "m" else "Nm"
+        series[f"{joint}_{unit}"] = values
+    if not series:
+        found, expected = "no joint states of this system", f"joints {', '.join(units)}"
+        raise InputError(path, "", found, expected, "Name the joints so.", "joint_missing")
+    return _on_one_clock(path, series), findings
 
 
-def _field(message: Any, name: str) -> Any:
-    return message.get(name, ()) if isinstance(message, dict) else getattr(message, name, ())
-
-
-def _stamp_s(message: Any, log_time: int) -> float:
-    """Time of a message's header [s], or of the log where the header has none."""
-    stamp = _field(_field(message, "header"), "stamp")
-    sec, nanosec = _field(stamp, "sec"), _field(stamp, "nanosec")
-    return float(sec) + float(nanosec) * 1e-9 if sec or nanosec else log_time * 1e-9
-
-
-def _on_one_clock(rows: dict[str, list[tuple[float, float]]]) -> pd.DataFrame:
+def _on_one_clock(path: Path, series: dict[str, tuple[np.ndarray, np.ndarray]]) -> pd.DataFrame:
     """Columns interpolated at the mean rate of the fastest one, over the time that all of them cover."""
-    series = {name: np.array(sorted(values)) for name, values in rows.items()}
-    first = max(s[0, 0] for s in series.values())
-    last = min(s[-1, 0] for s in series.values())
-    step = min(float(np.median(np.diff(s[:, 0]))) for s in series.values())
-    time_s = first + step * np.arange(max(int((last - first) / step) + 1, 0))
-    columns = {name: np.interp(time_s, s[:, 0], s[:, 1]) for name, s in series.items()}
+    first = max(time_s[0] for time_s, _ in series.values())
+    last = min(time_s[-1] for time_s, _ in series.values())
+    step = min((float(np.median(np.diff(t))) if len(t) > 1 else 0.0) for t, _ in series.values())
+    longest = max(len(time_s) for time_s, _ in series.values())
+    samples = (last - first) / step + 1 if step > 0 else 0.0
+    if not 1 <= samples <= _MOST_SAMPLES * longest:
+        found = f"{longest} messages over {last - first:.6g} s, most of them {step:.6g} s apart"
+        expected, remedy = "joint states at one rate", "Record it anew."
+        raise InputError(path, "times of the messages", found, expected, remedy, "time_uneven")
+    time_s = first + step * np.arange(int(samples + 1e-6))
+    columns = {name: np.interp(time_s, t, values) for name, (t, values) in series.items()}
     return pd.DataFrame({TIME: time_s - first} | columns)

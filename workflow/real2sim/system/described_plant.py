@@ -9,6 +9,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.system.description import FORCE, PATH, POSE, System
+from real2sim.system.mjcf import read_model
 from real2sim.system.plant import PELVIS_INERTIA, PELVIS_MASS, RestPose, servo_gains
 
 # Inertia of a joint that is moved along a path: the machine's forces do not move it against its servo [kg, kg m2]
@@ -33,12 +34,7 @@ def load_model(system: System) -> mujoco.MjSpec:
     InputError
         Naming the file, where it does not compile or a joint, body or site is missing.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(system.model))
-    except (ValueError, FileNotFoundError) as error:
-        raise InputError(
-            system.model, "", str(error), "an MJCF that compiles", "Correct the file."
-        ) from error
+    spec = read_model(system.model)
     own = [a.joint for a in system.axes if a.direction is None]
     joints = [*system.machine_joints, *own, *system.drive.columns, *(o.joint for o in system.outputs)]
     missing = [f"joint {n}" for n in dict.fromkeys(joints) if spec.joint(n) is None]
@@ -52,6 +48,7 @@ def load_model(system: System) -> mujoco.MjSpec:
             f"no {', '.join(missing)}",
             f"what {system.name}'s system.yaml names",
             "Correct either of them.",
+            "model_names",
         )
     return spec
 

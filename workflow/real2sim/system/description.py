@@ -192,7 +192,12 @@ class System:
         for p in self.parameters:
             if p.sets != MASS and p.of not in targets:
                 raise InputError(
-                    source, f"parameters.{p.name}.of", p.of, f"one of {', '.join(targets)}", "Name an axis."
+                    source,
+                    f"parameters.{p.name}.of",
+                    p.of,
+                    f"one of {', '.join(targets)}",
+                    "Name an axis.",
+                    "value",
                 )
             if not p.lower < p.upper or (p.log and p.lower <= 0):
                 expected = "lower < upper" + (", both positive where log is true" if p.log else "")
@@ -202,14 +207,25 @@ class System:
                     f"[{p.lower}, {p.upper}]",
                     expected,
                     "Correct the bounds.",
+                    "value",
                 )
         if self.drive.by == POSE and self.segment is None:
             raise InputError(
-                source, "interface.segment", "none", "the body that is driven by a pose", "Name the segment."
+                source,
+                "interface.segment",
+                "none",
+                "the body that is driven by a pose",
+                "Name the segment.",
+                "value",
             )
         if self.drive.by != POSE and not self.drive.columns:
             raise InputError(
-                source, "drive.of", "nothing", "joint: column of the recording", "Name what is driven."
+                source,
+                "drive.of",
+                "nothing",
+                "joint: column of the recording",
+                "Name what is driven.",
+                "value",
             )
 
     def with_model(
@@ -285,13 +301,10 @@ class System:
         # a description is read where no simulator is: only its joints need one
         import mujoco
 
+        from real2sim.system.mjcf import read_model
+
         slide = mujoco.mjtJoint.mjJNT_SLIDE
-        try:
-            spec = mujoco.MjSpec.from_file(str(self.model))
-        except (ValueError, FileNotFoundError) as error:
-            raise InputError(
-                self.model, "", str(error), "an MJCF that compiles", "Correct the file."
-            ) from error
+        spec = read_model(self.model)
         return {joint.name: "m" if joint.type == slide else "rad" for joint in spec.joints}
 
     @cached_property
@@ -370,4 +383,6 @@ def shipped(name: str) -> Path:
     for folder in (package / "systems" / name, package.parents[1] / "resources" / "systems" / name):
         if folder.is_dir():
             return folder
-    raise InputError(name, "", "no such system", "a system of resources/systems", "Correct the name.")
+    raise InputError(
+        name, "", "no such system", "a system of resources/systems", "Correct the name.", "no_file"
+    )

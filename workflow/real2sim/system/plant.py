@@ -23,6 +23,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
+from real2sim.system.mjcf import read_model
 
 if TYPE_CHECKING:
     from real2sim.settings import PlantSettings
@@ -64,10 +65,7 @@ def load_robot(path: Path) -> mujoco.MjSpec:
         Where the file does not compile, a body, joint or site that the plant needs is missing, or the interface's
         left and right site are exchanged.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, FileNotFoundError) as error:
-        raise InputError(path, "", str(error), "an MJCF that compiles", "Mend the robot twin.") from error
+    spec = read_model(path)
     missing = (
         [f"body {n}" for n in ("base", "arm", "interface") if spec.body(n) is None]
         + [f"joint {n}" for n in ROBOT_JOINTS if spec.joint(n) is None]
@@ -80,6 +78,7 @@ def load_robot(path: Path) -> mujoco.MjSpec:
             f"no {', '.join(missing)}",
             "the names of the robot twin (docs, own robot)",
             "Rename them.",
+            "model_names",
         )
     _check_sides(path, spec)
     return spec

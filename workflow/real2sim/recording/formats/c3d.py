@@ -16,7 +16,7 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.recording.formats.qualisys import finding, known_positions
 from real2sim.recording.formats.recordings import Event, Finding, MarkerRecording
-from real2sim.recording.formats.text import read_bytes
+from real2sim.recording.formats.text import read_bytes, repeated
 from real2sim.recording.formats.trc import UNITS_PER_M
 
 _EXPORT = "export the trial again as C3D, or as TSV (3D)"
@@ -335,11 +335,12 @@ def _labels(path: Path, groups: _Groups, points: int, findings: list[Finding]) -
 
 def unique_names(path: Path, labels: list[str], place: str, findings: list[Finding]) -> list[str]:
     """Labels, each once: all that are repeated or empty get their position, and are reported."""
-    odd = sorted({label for label in labels if not label or labels.count(label) > 1})
+    odd = sorted({*repeated(labels), *([""] if "" in labels else [])})
     if odd:
-        message = f"repeated or empty: {', '.join(label or '(empty)' for label in odd)}"
+        message = f"repeated or empty: {', '.join(label or '(empty)' for label in odd[:50])}"
         findings.append(finding("names_repeated", "warning", path, place, message, "numbered by position"))
-    return [f"{label} #{i + 1}".strip() if label in odd else label for i, label in enumerate(labels)]
+    wrong = set(odd)
+    return [f"{label} #{i + 1}".strip() if label in wrong else label for i, label in enumerate(labels)]
 
 
 def _events(path: Path, groups: _Groups, findings: list[Finding]) -> list[Event]:

@@ -17,6 +17,7 @@ _HEADER = 128
 # Compressed variables may take so many times the file's size, or so many bytes if that is more: positions reach 2 times
 _MOST_UNPACKED, _SMALL = 5, 1 << 24
 _DEPTH = 16
+_MOST_ARRAYS = 100_000  # in a cell or struct; each takes a hundred bytes and more
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {
     1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
@@ -112,6 +113,8 @@ def _arrays(body: memoryview, at: int, count: int, order: str, depth: int) -> tu
     """The next ``count`` arrays, and where they end."""
     if 8 * count > len(body) - at:
         raise ValueError(f"{count} arrays in {len(body) - at} bytes")
+    if count > _MOST_ARRAYS:
+        raise ValueError(f"{count} arrays in one, no more than {_MOST_ARRAYS} are read")
     out = []
     for _ in range(count):
         kind, data, at = _element(body, at, order)

@@ -25,8 +25,13 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 1, 2, 3, 4, 5, 6
 _STATISTICS, _DATA_END = 11, 15
 _LARGEST = 1 << 28  # bytes of one record or chunk; rosbag2 writes chunks of 1 MB
 _PIECE = 1 << 20
+_LARGEST_JSON = 1 << 20  # bytes of one message
+_LARGEST_SCHEMA = 1 << 16  # bytes of one definition; that of an odometry has two thousand
 # Chunks may unpack to so many times the file's size, or so many bytes if that is more: logs of robots reach 7 times
 _MOST_UNPACKED, _SMALL = 20, 1 << 23
+# A message takes so many bytes of the file at least, where there are more than a few: joint states take thirty packed
+_LEAST_BYTES, _FEW = 6, 100_000
+_UNPACK = "if the log is sound, unpack it: `mcap decompress`"
 _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it out"
 _RECOVER = "copy it again, or repair it with `mcap recover` and check what is left"
 
@@ -113,7 +118,7 @@ class _Section:
         self.schemas: dict[int, tuple[str, str, bytes]] = {}
         self.crc = 0
         self.last = -1
-        self.unpacked = 0
+        self.unpacked = self.cost = 0
 
     def messages(self) -> Iterator[RawMessage]:
         self.stream.seek(0)
@@ -195,6 +200,10 @@ class _Section:
         if channel is None:
             raise ValueError(f"a message of an unknown channel {number}")
         self.contents.messages += 1
+        self.cost += 1 if channel.message_encoding == "cdr" else 2  # JSON and protobuf are decoded one by one
+        if self.cost > max(self.size // _LEAST_BYTES, _FEW):
+            found = f"more than {self.contents.messages - 1} messages in a file of {self.size} bytes"
+            self._refuse(self.stream.tell(), found, "too_large", _UNPACK)
         self.contents.backwards += log_time < self.last
         self.last = log_time
         return RawMessage(channel, sequence, log_time, publish_time, body[22:])
@@ -211,7 +220,7 @@ class _Section:
         self.unpacked += size
         if self.unpacked > max(_MOST_UNPACKED * self.size, _SMALL):
             found = f"chunks of more than {self.unpacked} bytes in a file of {self.size}"
-            self._refuse(at, found, "too_large", "if the log is sound, unpack it: `mcap decompress`")
+            self._refuse(at, found, "too_large", _UNPACK)
         records = self._decompressed(at, compression, data, size)
         if crc and zlib.crc32(records) != crc:
             self._refuse(at, "a chunk whose checksum is wrong", "checksum", _RECOVER)
@@ -336,11 +345,14 @@ def decoder(channel: Channel) -> Callable[[bytes], Any]:
     kind = channel.message_encoding, channel.schema_encoding
     if channel.message_encoding == "json":
         return _json
+    if kind[0] == "cdr" and len(channel.schema_data) > _LARGEST_SCHEMA:
+        raise Undecodable(f"its definition has more than {_LARGEST_SCHEMA} bytes", "schema")
     if kind not in (("cdr", "ros2msg"), ("protobuf", "protobuf")):
         named = f"encoding {kind[0]!r} with schema {kind[1]!r}"
         raise Undecodable(f"{named} is not read", "encoding")
     try:
-        with contextlib.redirect_stdout(None):  # the parser of definitions prints what it raises
+        # the parser of definitions prints what it raises
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
             return _cdr(channel) if kind[0] == "cdr" else _protobuf(channel)
     except Exception as error:  # both libraries raise many kinds, by what is odd
         raise Undecodable(f"its definition cannot be read: {error}"[:200], "schema") from error
@@ -358,6 +370,8 @@ def _schema_record(channel: Channel, data: bytes) -> Any:
 
 
 def _json(payload: bytes) -> Any:
+    if len(payload) > _LARGEST_JSON:  # a list of lists takes twenty times its text
+        raise Undecodable(f"JSON of {len(payload)} bytes, no more than {_LARGEST_JSON} are read")
     try:
         return json.loads(payload)
     except (ValueError, RecursionError) as error:

@@ -18,11 +18,14 @@ from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, Length, StorageRecording
 from real2sim.recording.formats.text import (
+    Lines,
     cells_of,
+    check_number_of_names,
     divide_by_tabs,
     increasing,
     read_lines,
     read_table,
+    repeated,
     stripped,
 )
 
@@ -136,7 +139,7 @@ def read_storage(path: Path) -> StorageRecording:
     elements = _elements(path, header)
     names = _names(path, lines, at)
     time_column = next(i for i, name in enumerate(names) if name.lower() == "time")
-    rows = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
+    rows = lines.filled(at + 1)
     table = _table(path, lines, rows, len(names), time_column, elements)
     _check_counts(path, header, len(rows), len(names), findings)
     table = _without_repeated_end(path, table, time_column, rows, findings)
@@ -147,7 +150,7 @@ def read_storage(path: Path) -> StorageRecording:
     return StorageRecording(time_s, columns, header, text, findings)
 
 
-def _names_line(path: Path, lines: list[str], findings: list[Finding]) -> int:
+def _names_line(path: Path, lines: Lines, findings: list[Finding]) -> int:
     """Number of the line of column names: the first after endheader, or the one that starts with time."""
     end = next((i for i, line in enumerate(lines[:1000]) if line.strip().lower() == "endheader"), None)
     if end is not None:
@@ -185,13 +188,14 @@ def _elements(path: Path, header: dict[str, str]) -> int:
     return count
 
 
-def _names(path: Path, lines: list[str], at: int) -> list[str]:
+def _names(path: Path, lines: Lines, at: int) -> list[str]:
     names = stripped(cells_of(lines[at])) if at < len(lines) else []
     if "time" not in [name.lower() for name in names]:
         found = repr(names[0]) if names else "nothing after endheader"
         expected = "a row of column names that starts with time"
         raise InputError(path, f"line {at + 1}", found, expected, _EXPORT_MOT, "columns")
-    twice = sorted({name for name in names if names.count(name) > 1})
+    check_number_of_names(path, f"line {at + 1}", names, _EXPORT_MOT)
+    twice = repeated(names)
     if twice or not all(names):
         found = f"twice: {', '.join(twice)}" if twice else "a column without a name"
         raise InputError(path, f"line {at + 1}", found, "one name per column", _EXPORT_MOT, "names")
@@ -199,7 +203,7 @@ def _names(path: Path, lines: list[str], at: int) -> list[str]:
 
 
 def _table(
-    path: Path, lines: list[str], rows: list[int], width: int, time_column: int, elements: int
+    path: Path, lines: Lines, rows: np.ndarray, width: int, time_column: int, elements: int
 ) -> np.ndarray:
     """Numbers (n, width, elements); the time fills the first element of its column."""
     if elements == 1:
@@ -218,7 +222,7 @@ def _table(
             raise InputError(path, f"line {i + 1}", found, expected, _AGAIN, "row_cells")
         flat.append(re.sub(r"[~\[\]]", "", "\t".join(cells)).replace(",", "\t"))
     numbers = read_table(
-        path, flat, list(range(len(flat))), (width - 1) * elements + 1, f"{elements} in each", blank=False
+        path, flat, np.arange(len(flat)), (width - 1) * elements + 1, f"{elements} in each", blank=False
     )
     out = np.full((len(rows), width, elements), np.nan)
     starts = np.cumsum([0] + [1 if c == time_column else elements for c in range(width)])
@@ -229,7 +233,7 @@ def _table(
 
 
 def _without_repeated_end(
-    path: Path, table: np.ndarray, time_column: int, rows: list[int], findings: list[Finding]
+    path: Path, table: np.ndarray, time_column: int, rows: np.ndarray, findings: list[Finding]
 ) -> np.ndarray:
     """Return the table without a last row that repeats the time of the row before, as RRA, CMC and forward write it."""
     time_s = table[:, time_column, 0]

@@ -8,7 +8,6 @@ never written; it is the millimetre.
 from __future__ import annotations
 
 import re
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,16 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.recording.formats.recordings import BodyRecording, Event, Finding, Length, MarkerRecording
-from real2sim.recording.formats.text import cells_of, increasing, read_lines, read_table, stripped
+from real2sim.recording.formats.text import (
+    Lines,
+    cells_of,
+    check_number_of_names,
+    increasing,
+    read_lines,
+    read_table,
+    repeated,
+    stripped,
+)
 
 MM_PER_M = 1000.0
 _EXPORT_3D = "in QTM choose File > Export > To TSV with the data type 3D (not 6D, not forces)"
@@ -69,6 +77,7 @@ _KEY = re.compile(r"[A-Z][A-Z0-9_]+")
 _RATE_TOLERANCE = 0.005  # Time has 5 decimals: at 300 Hz one step rounds by 0.15 %
 _LEADING = {"frame": "frame", "sample": "frame", "time": "time"}
 _ORTHONORMAL = 1e-3  # Rot has 5 decimals
+_LONGEST_HEADER = 10_000  # lines, of which each event is one
 _MOST_LEFT_OUT = 4  # times as many frames as rows, from which on the numbers are taken for wrong
 _BODY_CELLS = 16  # X Y Z, three angles, Residual, Rot[0..8]
 _AGAIN = "export the trial again"
@@ -118,13 +127,16 @@ def finding(
 
 
 def _header(
-    path: Path, lines: list[str], kind: str, findings: list[Finding]
+    path: Path, lines: Lines, kind: str, findings: list[Finding]
 ) -> tuple[dict[str, list[str]], list[Event], int]:
     """Keys, events and the number of the line after the header of an export of one kind."""
     header: dict[str, list[str]] = {}
     events: list[Event] = []
     at = 0
     while at < len(lines):
+        if at > _LONGEST_HEADER:
+            found = f"a header of more than {_LONGEST_HEADER} lines"
+            raise InputError(path, f"line {at + 1}", found, "the header of an export", _EXPORT_3D, "header")
         cells = lines[at].split("\t")
         key = cells[0].rstrip()
         if lines[at].strip() and not _KEY.fullmatch(key):
@@ -179,7 +191,8 @@ def _names(
 ) -> list[str]:
     """Markers or bodies, each once."""
     names = stripped(header[key])
-    twice = sorted({name for name in names if names.count(name) > 1})
+    check_number_of_names(path, key, names, _EXPORT_3D)
+    twice = repeated(names)
     if twice or not names or not all(names):
         found = f"twice: {', '.join(twice)}" if twice else "a marker without a name"
         remedy = "label the trajectories in QTM"
@@ -198,15 +211,15 @@ def _check_count(path: Path, header: dict[str, list[str]], rows: int, findings: 
         findings.append(finding("count", "warning", path, "NO_OF_FRAMES", message))
 
 
-def _rows(path: Path, lines: list[str], at: int) -> list[int]:
+def _rows(path: Path, lines: Lines, at: int) -> np.ndarray:
     """Numbers of the data lines, which must follow each other."""
-    rows = [i for i in range(at, len(lines)) if lines[i]]
-    if not any(lines[i].strip() for i in rows):
+    rows = at + np.flatnonzero(np.diff(lines.starts[at:]) > 1)
+    if not any(lines[int(i)].strip() for i in rows):
         raise InputError(path, "", "a header and no frames", "one row per frame", _EXPORT_3D, "no_data")
-    gap = next((i for i, j in pairwise(rows) if j != i + 1), None)
-    if gap is not None:
+    gaps = rows[:-1][np.diff(rows) != 1]
+    if len(gaps):
         found, remedy = "an empty line between frames", _AGAIN
-        raise InputError(path, f"line {gap + 2}", found, "one row per frame", remedy, "row_cells")
+        raise InputError(path, f"line {gaps[0] + 2}", found, "one row per frame", remedy, "row_cells")
     return rows
 
 
@@ -216,7 +229,7 @@ def _leading(cells: list[str]) -> list[str]:
     return [_LEADING[name] for name in known]
 
 
-def _column_row(path: Path, lines: list[str], at: int, markers: list[str]) -> tuple[list[str] | None, int]:
+def _column_row(path: Path, lines: Lines, at: int, markers: list[str]) -> tuple[list[str] | None, int]:
     """Leading columns (Frame, Time) by the column row, or None where there is none; the first data line."""
     cells = [cell.strip() for cell in lines[at].split("\t")] if at < len(lines) else []
     expected = [f"{name} {axis}" for name in markers for axis in "XYZ"]
@@ -234,16 +247,16 @@ def _column_row(path: Path, lines: list[str], at: int, markers: list[str]) -> tu
     return leading, at + 1
 
 
-def _unnamed_leading(lines: list[str], rows: list[int], width: int) -> list[str]:
+def _unnamed_leading(lines: Lines, rows: np.ndarray, width: int) -> list[str]:
     """Whether Frame and Time are there, by the number of cells: without a row of names nothing else tells."""
-    counts = [lines[i].count("\t") + 1 for i in rows]
-    more = max(set(counts), key=counts.count) - width
+    values, times = np.unique(lines.tabs(rows) + 1, return_counts=True)
+    more = int(values[np.argmax(times)]) - width
     ends_blank = all(not lines[i].rsplit("\t", 1)[-1].strip() for i in rows)
     return ["frame", "time"] if more - ends_blank == 2 else []
 
 
 def _clock(
-    path: Path, header: dict[str, list[str]], leading: list[str], table: np.ndarray, rows: list[int]
+    path: Path, header: dict[str, list[str]], leading: list[str], table: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Frame numbers, times [s] and rate [Hz]."""
     for column, name in enumerate(leading):
@@ -275,7 +288,7 @@ def _clock(
 
 
 def _check_steps(
-    path: Path, frames: np.ndarray, time_s: np.ndarray, rate: float, rows: list[int], column: int
+    path: Path, frames: np.ndarray, time_s: np.ndarray, rate: float, rows: np.ndarray, column: int
 ) -> None:
     """Frame and Time must tell the same, row by row: half a frame apart, one of them is wrong."""
     first = (frames - frames[0]) / rate
@@ -294,7 +307,8 @@ def _positions(
     path: Path, table: np.ndarray, markers: list[str], findings: list[Finding]
 ) -> dict[str, np.ndarray]:
     """Positions (n, 3) [m] by marker; an incomplete or all-zero triple is a missing sample."""
-    triples = table.reshape(len(table), len(markers), 3) / MM_PER_M
+    table /= MM_PER_M  # in place, and positions are views of it: each copy takes as much memory as a file of one digit
+    triples = table.reshape(len(table), len(markers), 3)
     return known_positions(path, triples, markers, findings)
 
 
@@ -315,7 +329,7 @@ def known_positions(
         if some:
             message = f"{some} samples with one or two of three coordinates"
             findings.append(finding("partial_triple", "warning", path, name, message, "taken as missing"))
-    return {name: triples[:, i].copy() for i, name in enumerate(markers)}
+    return {name: triples[:, i] for i, name in enumerate(markers)}
 
 
 def _fill_frames(
@@ -373,7 +387,7 @@ def read_bodies(path: Path) -> BodyRecording:
     return BodyRecording(time_s, rate, positions, rotations, residuals, angles, int(frames[0]), findings)
 
 
-def _body_columns(path: Path, lines: list[str], at: int, bodies: list[str]) -> tuple[list[str], list[str]]:
+def _body_columns(path: Path, lines: Lines, at: int, bodies: list[str]) -> tuple[list[str], list[str]]:
     """Leading columns and the names of one body's cells; the row lists one body or all of them."""
     cells = [cell.strip() for cell in cells_of(lines[at])] if at < len(lines) else []
     leading = _leading(cells)
@@ -394,7 +408,7 @@ def _own_name(cell: str, body: str) -> str:
 
 
 def _body_table(
-    path: Path, lines: list[str], rows: list[int], leading: list[str], count: int
+    path: Path, lines: Lines, rows: np.ndarray, leading: list[str], count: int
 ) -> tuple[np.ndarray, list[slice]]:
     """All numbers, and where each body's lie: bodies may be divided by a blank cell."""
     cells = lines[rows[0]].split("\t")[len(leading) :]

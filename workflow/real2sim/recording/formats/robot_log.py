@@ -309,8 +309,10 @@ def write_log(path: Path, log: RobotLog, *, metadata: dict[str, str] | None = No
 
 _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it out"
 _BATCH = 1 << 22  # bytes of a topic that are decoded at once
+_BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times their bytes
 _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
+_MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
 
 
 def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
@@ -326,7 +328,8 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
     findings = contents.findings
     for topic in ("/odom", "/joint_states"):
         if topic not in topics:
-            found = f"topics {', '.join(sorted({c.topic for c in contents.channels.values()})) or 'none'}"
+            names = sorted({c.topic for c in contents.channels.values()})
+            found = f"topics {', '.join(names[:50]) or 'none'}" + (", ..." if len(names) > 50 else "")
             expected, remedy = f"{topic} ({TOPICS[topic]})", "record the topic, or remap it"
             raise InputError(path, f"topic {topic}", found, expected, remedy, "topic_missing")
     stamped = [topic.stamped() for topic in topics.values() if topic.channel.topic != "/sync"]
@@ -358,7 +361,7 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
 
 
 @dataclass
-class _Group:
+class Group:
     """Messages of one topic with the same joints: their numbers within the topic, and fields (n, items)."""
 
     index: np.ndarray
@@ -379,22 +382,22 @@ class _Topic:
     logged_waiting: list[int] = field(default_factory=list)
     stamps: list[np.ndarray] = field(default_factory=list)
     time_ns: np.ndarray | None = None
-    groups: list[_Group] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
     rows: bytearray = field(default_factory=bytearray)
 
     def add(self, logged: int, payload: bytes) -> None:
         self.waiting.append(payload)
         self.logged_waiting.append(logged)
         self.bytes_waiting += len(payload)
-        if self.bytes_waiting > _BATCH:
+        if self.bytes_waiting > _BATCH or len(self.waiting) >= _BATCH_MESSAGES:
             self.flush()
 
     def flush(self) -> None:
         """Decode what waits. Raises InputError where a message is not what its channel says."""
         if not self.waiting:
             return
-        cdr = self.channel.message_encoding == "cdr"
-        groups = (_decode_cdr if cdr else _decode_any)(self.path, self.channel, self.waiting, self.count)
+        type_name = TOPICS[self.channel.topic]
+        groups = decode_messages(self.path, self.channel, type_name, self.waiting, self.count)
         stamps = np.zeros(len(self.waiting), np.int64)
         for group in groups:
             if "stamp" in group.values:
@@ -430,7 +433,7 @@ class _Topic:
         """Times [s] and the columns ``table`` of all messages, in the order of time."""
         return _in_order(self.times(start_ns), np.frombuffer(self.rows).reshape(self.count, -1))
 
-    def _extend(self, groups: list[_Group]) -> None:
+    def _extend(self, groups: list[Group]) -> None:
         """Append the rows of a batch: one buffer that grows needs half the memory of a list of arrays."""
         table = np.full((len(self.waiting), groups[0].values["table"].shape[1]), np.nan)
         for group in groups:
@@ -501,10 +504,31 @@ def _check_same(path: Path, first: Channel, other: Channel) -> None:
 # -------------------- decoding of a batch
 
 
-def _decode_cdr(path: Path, channel: Channel, payloads: list[bytes], before: int) -> list[_Group]:
+def decode_messages(
+    path: Path, channel: Channel, type_name: str, payloads: list[bytes], before: int
+) -> list[Group]:
+    """Return messages of one topic as groups of the same joints, with the numbers of their fields.
+
+    ``type_name`` is the ROS type whose fields are read, ``before`` the number of messages that came before these.
+    Raises InputError where a message is not what its channel says, or where hardly two messages are alike.
+    """
+    decode = _decode_cdr if channel.message_encoding == "cdr" else _decode_any
+    return decode(path, channel, type_name, payloads, before)
+
+
+def _check_alike(path: Path, channel: Channel, groups: int) -> None:
+    """Refuse messages of many structures: each group costs as much time and memory as thousands of messages."""
+    if groups > _MOST_GROUPS:
+        found = f"more than {_MOST_GROUPS} different lists of names or counts of numbers among its messages"
+        expected, remedy = "messages of a few publishers", "record the topic with one publisher"
+        raise InputError(path, f"topic {channel.topic}", found, expected, remedy, "message_kinds")
+
+
+def _decode_cdr(
+    path: Path, channel: Channel, type_name: str, payloads: list[bytes], before: int
+) -> list[Group]:
     """Messages of one topic, in groups of one structure (same strings, same counts)."""
-    type_name = TOPICS[channel.topic]
-    groups: list[_Group] = []
+    groups: list[Group] = []
     rest = np.arange(len(payloads))
     try:
         if before == 0:
@@ -529,18 +553,21 @@ def _decode_cdr(path: Path, channel: Channel, payloads: list[bytes], before: int
                         columns.view(kind).reshape(-1, count) if count else np.zeros((alike.sum(), 0))
                     )
             names = tuple(layout.strings.get("name", ()))
-            groups.append(_Group(same[alike] + before, names, values))
-            rest = np.setdiff1d(rest, same[alike])
+            groups.append(Group(same[alike] + before, names, values))
+            rest = np.setdiff1d(rest, same[alike], assume_unique=True)
+            _check_alike(path, channel, len(groups))
     except (ValueError, struct.error, UnicodeDecodeError, IndexError) as error:
         code = error.code if isinstance(error, Undecodable) else "payload"
-        raise _not_what_it_says(path, channel, before + int(rest[0]), error, code) from error
+        raise _not_what_it_says(path, channel, type_name, before + int(rest[0]), error, code) from error
     return groups
 
 
-def _not_what_it_says(path: Path, channel: Channel, index: int, error: Exception, code: str) -> InputError:
+def _not_what_it_says(
+    path: Path, channel: Channel, type_name: str, index: int, error: Exception, code: str
+) -> InputError:
     place = f"topic {channel.topic}, message {index + 1}"
     found = f"a message that is not what its channel says ({error})"
-    expected = f"{TOPICS[channel.topic]} in {channel.message_encoding}"
+    expected = f"{type_name} in {channel.message_encoding}"
     return InputError(path, place, found, expected, _RECORD, code)
 
 
@@ -570,27 +597,30 @@ def _numbers(value: Any) -> Iterator[float]:
             yield from _numbers(item)
 
 
-def _decode_any(path: Path, channel: Channel, payloads: list[bytes], before: int) -> list[_Group]:
+def _decode_any(
+    path: Path, channel: Channel, type_name: str, payloads: list[bytes], before: int
+) -> list[Group]:
     """Messages in JSON or protobuf, one by one, in groups of the same joints."""
     try:
         decode = decoder(channel)
     except Undecodable as error:
-        raise _not_what_it_says(path, channel, before, error, error.code) from error
+        raise _not_what_it_says(path, channel, type_name, before, error, error.code) from error
     rows: dict[tuple[Any, ...], list[tuple[int, dict[str, list[float]]]]] = {}
     for i, payload in enumerate(payloads):
         try:
-            names, values = _fields(TOPICS[channel.topic], decode(payload))
+            names, values = _fields(type_name, decode(payload))
         except Undecodable as error:
-            raise _not_what_it_says(path, channel, before + i, error, error.code) from error
+            raise _not_what_it_says(path, channel, type_name, before + i, error, error.code) from error
         key = names, *(len(v) for v in values.values())
         rows.setdefault(key, []).append((before + i, values))
+        _check_alike(path, channel, len(rows))
     out = []
     for (joints, *_), group in rows.items():
         index = np.array([i for i, _ in group])
         tables = {
             name: np.array([v[name] for _, v in group], float).reshape(len(group), -1) for name in group[0][1]
         }
-        out.append(_Group(index, joints, tables))
+        out.append(Group(index, joints, tables))
     return out
 
 
@@ -625,7 +655,9 @@ def _fields(type_name: str, message: Any) -> tuple[tuple[str, ...], dict[str, li
         raise Undecodable("joint names that are no text")
     position = [_scalar(v, "position") for v in _list(_member(message, "position"), "position")]
     velocity = [_scalar(v, "velocity") for v in _list(_member(message, "velocity", []), "velocity")]
-    return tuple(names), {"stamp": _stamp(message), "position": position, "velocity": velocity}
+    effort = [_scalar(v, "effort") for v in _list(_member(message, "effort", []), "effort")]
+    stamp = _stamp(message)
+    return tuple(names), {"stamp": stamp, "position": position, "velocity": velocity, "effort": effort}
 
 
 def _stamp(message: Any) -> list[float]:
@@ -697,12 +729,13 @@ def _list(value: Any, name: str) -> list[Any]:
 # -------------------- numbers
 
 
-def _needed(path: Path, topic: str, group: _Group) -> dict[str, np.ndarray]:
+def _needed(path: Path, topic: str, group: Group) -> dict[str, np.ndarray]:
     """Of a group's fields, what a RobotLog holds."""
     values = group.values
     if topic == "/odom":
         x, y, z, w = values["orientation"].T
-        length = np.sqrt(x * x + y * y + z * z + w * w)
+        with np.errstate(over="ignore"):  # an infinite length is none of a rotation, and refused
+            length = np.sqrt(x * x + y * y + z * z + w * w)
         if not (np.abs(length - 1) < _UNIT).all():
             index = int(group.index[np.argmax(~(np.abs(length - 1) < _UNIT))]) + 1
             place, found = f"topic {topic}, message {index}", "an orientation that is no unit quaternion"
@@ -724,7 +757,7 @@ def _joints(
     groups = topic.groups
     with_arm = [g for g in groups if set(ARM_JOINTS) <= set(g.names)]
     if not with_arm:
-        found = f"joints {', '.join(sorted({n for g in groups for n in g.names})) or 'none'}"
+        found = f"joints {', '.join(sorted({n for g in groups for n in g.names})[:20]) or 'none'}"
         expected, remedy = ", ".join(ARM_JOINTS), "name the arm's joints so in the URDF"
         raise InputError(path, "topic /joint_states", found, expected, remedy, "joint_missing")
     if len(with_arm) < len(groups):
@@ -756,7 +789,7 @@ def _joints(
     return time_s, joints
 
 
-def _joint(path: Path, name: str, group: _Group) -> np.ndarray:
+def _joint(path: Path, name: str, group: Group) -> np.ndarray:
     """Position and velocity (n, 2) of one joint; velocity NaN where the message carries none."""
     column, n = group.names.index(name), len(group.names)
     position, velocity = group.values["position"], group.values["velocity"]

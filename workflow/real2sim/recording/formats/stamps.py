@@ -7,6 +7,7 @@ that arrive later than that were delayed on their way, and their stamps undo it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -78,6 +79,23 @@ def choose_times(
         )
         _report(path, topic, near, times[name], delays[name], findings)
     return times, delays
+
+
+def large_delays(
+    path: Path, delays: Mapping[str, StampDelay], settings: IngestRobotLogStampsSettings
+) -> list[Finding]:
+    """Return a warning for each topic whose delay from stamp to log time is large, or varies much."""
+    out = []
+    for topic, delay in delays.items():
+        median = delay.beyond_clock_s if delay.other_clock else delay.median_s
+        if max(abs(median), delay.spread_s) > settings["delay_warn_s"]:
+            against = "the first topic of its clock" if delay.other_clock else "its stamps"
+            message = (
+                f"logged {1e3 * median:.1f} ms after {against} (median), spread {1e3 * delay.spread_s:.1f} ms"
+            )
+            action = "stamps are used; /sync has none, its time is the log's"
+            out.append(Finding("stamp_delay", "warning", path.name, topic, message, action))
+    return out
 
 
 def _median(topic: StampedTopic) -> int:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -11,14 +13,72 @@ from real2sim.errors import InputError
 from real2sim.recording.formats.recordings import Finding
 
 _HEAD = 1000  # lines within which the row of names is looked for
+_MOST_NAMES = 10_000  # markers or coordinates of a file
 _LARGE = 20_000  # cells from which on the fast parser pays
+_FEED, _BLANK = b"\n "
+_ASCII = 127
 _AGAIN = "the file may be cut off or edited: export it again"
 
 
-class Lines(list[str]):
-    """Lines of a file, and the bytes between whose line feeds they lie."""
+class Lines(Sequence[str]):
+    """Lines of a text file between the line feeds of its bytes ``raw`` (UTF-8); each is decoded where it is used.
 
-    raw: bytes = b""
+    A list of texts takes ten times the memory of a file with short lines.
+    """
+
+    def __init__(self, raw: bytes):
+        self.raw = raw
+        feeds = np.flatnonzero(np.frombuffer(raw, np.uint8) == _FEED)
+        # four bytes a line: a file of blank lines has one byte for each
+        self.starts = np.empty(len(feeds) + 2, np.uint32 if len(raw) < 1 << 32 - 1 else np.uint64)
+        self.starts[0], self.starts[-1] = 0, len(raw) + 1
+        np.add(feeds, 1, out=self.starts[1:-1], casting="unsafe")
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[str]: ...
+
+    def __getitem__(self, index: int | slice) -> str | list[str]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if index < 0:
+            index += len(self)
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        return self.raw[self.starts[index] : self.starts[index + 1] - 1].decode()
+
+    def filled(self, first: int) -> np.ndarray:
+        """Return the numbers of the lines from ``first`` on that have more than blanks."""
+        rows = first + np.flatnonzero(np.diff(self.starts[first:]) > 1)
+        starts = np.frombuffer(self.raw, np.uint8)[self.starts[rows]]
+        doubtful = np.flatnonzero((starts <= _BLANK) | (starts > _ASCII))
+        kept = np.ones(len(rows), bool)
+        kept[doubtful] = [bool(self[rows[k]].strip()) for k in doubtful]
+        return np.asarray(rows[kept])
+
+    def tabs(self, rows: np.ndarray) -> np.ndarray:
+        """Return how many tabs the lines ``rows`` have."""
+        raw, starts = self.raw, self.starts
+        return np.fromiter(
+            (raw.count(b"\t", starts[i], starts[i + 1] - 1) for i in rows), np.int32, len(rows)
+        )
+
+
+def check_number_of_names(path: Path, place: str, names: Collection[str], remedy: str) -> None:
+    """Refuse more names than any recording has: each makes arrays that take hundreds of bytes."""
+    if len(names) > _MOST_NAMES:
+        found, expected = f"{len(names)} names", f"no more than {_MOST_NAMES}"
+        raise InputError(path, place, found, expected, remedy, "columns")
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that stand more than once, in order."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def read_lines(path: Path, expected: str, remedy: str) -> Lines:
@@ -33,11 +93,10 @@ def read_lines(path: Path, expected: str, remedy: str) -> Lines:
         raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     try:
-        lines = Lines(raw.decode().split("\n"))
+        raw.decode()
     except UnicodeDecodeError:
-        return Lines(raw.decode("cp1252", errors="replace").split("\n"))
-    lines.raw = raw
-    return lines
+        raw = raw.decode("cp1252", errors="replace").encode()
+    return Lines(raw)
 
 
 def divide_by_tabs(path: Path, lines: Lines, first: str, findings: list[Finding]) -> Lines:
@@ -53,7 +112,7 @@ def divide_by_tabs(path: Path, lines: Lines, first: str, findings: list[Finding]
     findings.append(
         Finding("commas", "info", path.name, f"line {at + 1}", message, "read as if they were tabs")
     )
-    return Lines(line.replace(",", "\t") for line in lines)
+    return Lines(lines.raw.replace(b",", b"\t"))
 
 
 def read_bytes(path: Path, expected: str, remedy: str) -> bytes:
@@ -96,7 +155,7 @@ def number(path: Path, line: int, column: int, cell: str, *, blank: bool) -> flo
 
 
 def read_table(
-    path: Path, lines: list[str], rows: list[int], width: int, expected: str, *, blank: bool = True
+    path: Path, lines: Sequence[str], rows: np.ndarray, width: int, expected: str, *, blank: bool = True
 ) -> np.ndarray:
     """Numbers (n, width) of the lines ``rows``; NaN where a cell is blank.
 
@@ -104,31 +163,31 @@ def read_table(
     too few or too many cannot be put right by cutting its end. Only the last row may lack the tab that ends the
     others. Raises InputError with the line.
     """
-    if not rows:
+    if not len(rows):
         return np.empty((0, width))
-    tabs = any("\t" in lines[i] for i in rows)
-    counts = [lines[i].count("\t") + 1 if tabs else len(lines[i].split()) for i in rows]
+    tab_counts = _tab_counts(lines, rows)
+    tabs = bool(tab_counts.any())
+    counts = tab_counts + 1 if tabs else np.array([len(lines[i].split()) for i in rows])
     if tabs and _lacks_only_the_last_tab(lines, rows, counts, width):
-        lines = [*lines[: rows[-1]], lines[rows[-1]] + "\t", *lines[rows[-1] + 1 :]]
+        lines = _with_last_tab(lines, rows)
         counts[-1] += 1
-    usual = max(set(counts), key=lambda count: (counts.count(count), count))
-    for i, count in zip(rows, counts, strict=True):
-        if count != usual or count < width:
-            found = f"{count} cells" + (f", {usual} in most rows" if count != usual else "")
-            wanted = f"{usual} cells as in most rows" if count == width else f"{width} cells ({expected})"
-            raise InputError(path, f"line {i + 1}", found, wanted, _AGAIN, "row_cells")
+    values, times = np.unique(counts, return_counts=True)
+    usual = int(values[len(times) - 1 - np.argmax(times[::-1])])  # the larger of two that are as many
+    wrong = np.flatnonzero((counts != usual) | (counts < width))
+    if len(wrong):
+        count = int(counts[wrong[0]])
+        found = f"{count} cells" + (f", {usual} in most rows" if count != usual else "")
+        wanted = f"{usual} cells as in most rows" if count == width else f"{width} cells ({expected})"
+        raise InputError(path, f"line {rows[wrong[0]] + 1}", found, wanted, _AGAIN, "row_cells")
     table = _fast(lines, rows, usual, blank) if tabs and len(rows) * usual > _LARGE else None
     if table is None:
-        table = np.array(
-            [
-                [
-                    number(path, i, c, cell, blank=blank or c >= width)
-                    for c, cell in enumerate(lines[i].split("\t") if tabs else lines[i].split())
-                ]
-                for i in rows
+        table = np.empty((len(rows), usual))
+        for k, i in enumerate(rows):  # row by row: numbers as Python has them take sixteen times their text
+            cells = lines[i].split("\t") if tabs else lines[i].split()
+            table[k] = [
+                number(path, int(i), c, cell, blank=blank or c >= width) for c, cell in enumerate(cells)
             ]
-        )
-    beyond = np.argwhere(~np.isnan(table[:, width:]))
+    beyond = np.argwhere(~np.isnan(table[:, width:])) if usual > width else np.empty((0, 2), int)
     if len(beyond):
         i, found = rows[beyond[0][0]], f"{usual} cells with numbers in all of them"
         raise InputError(path, f"line {i + 1}", found, f"{width} cells ({expected})", _AGAIN, "row_cells")
@@ -139,25 +198,38 @@ def read_table(
     return table[:, :width]
 
 
-def _lacks_only_the_last_tab(lines: list[str], rows: list[int], counts: list[int], width: int) -> bool:
+def _tab_counts(lines: Sequence[str], rows: np.ndarray) -> np.ndarray:
+    if isinstance(lines, Lines):
+        return lines.tabs(rows)
+    return np.array([lines[i].count("\t") for i in rows])
+
+
+def _lacks_only_the_last_tab(lines: Sequence[str], rows: np.ndarray, counts: np.ndarray, width: int) -> bool:
     """Return whether a tab ends every row but the last, and the last row is whole.
 
     A file that breaks off within its last number looks alike: the last row is whole if a line feed follows it, or
     if its last number has as many decimals as the one above.
     """
-    if len(rows) < 2 or set(counts[:-1]) != {counts[-1] + 1} or counts[-1] < width:
+    if len(rows) < 2 or (counts[:-1] != counts[-1] + 1).any() or counts[-1] < width:
         return False
     if any(not lines[i].endswith("\t") for i in rows[:-1]) or lines[rows[-1]].endswith("\t"):
         return False
     above, last = (lines[i].rstrip("\t").rpartition("\t")[2].strip() for i in rows[-2:])
-    return rows[-1] + 1 < len(lines) or ("." in last and _decimals(last) == _decimals(above))
+    return bool(rows[-1] + 1 < len(lines) or ("." in last and _decimals(last) == _decimals(above)))
+
+
+def _with_last_tab(lines: Sequence[str], rows: np.ndarray) -> Sequence[str]:
+    """Return the lines up to the last row, and that row with a tab at its end."""
+    if isinstance(lines, Lines):
+        return Lines(lines.raw[: lines.starts[rows[-1] + 1] - 1] + b"\t")
+    return [*lines[: rows[-1]], lines[rows[-1]] + "\t"]
 
 
 def _decimals(cell: str) -> int:
     return len(cell.partition(".")[2])
 
 
-def _fast(lines: list[str], rows: list[int], width: int, blank: bool) -> np.ndarray | None:
+def _fast(lines: Sequence[str], rows: np.ndarray, width: int, blank: bool) -> np.ndarray | None:
     """The same by Arrow; None where anything is out of the ordinary, so that the slow way can name it."""
     import pyarrow
     from pyarrow import csv
@@ -171,17 +243,18 @@ def _fast(lines: list[str], rows: list[int], width: int, blank: bool) -> np.ndar
     )
     parse = csv.ParseOptions(delimiter="\t", quote_char=False, ignore_empty_lines=True)
     read = csv.ReadOptions(column_names=names, block_size=1 << 22)
-    try:
-        table = csv.read_csv(pyarrow.BufferReader(text), read, parse, convert)
-    except pyarrow.ArrowException:
-        return None
-    if table.num_rows != len(rows) or (not blank and any(c.null_count for c in table.columns)):
-        return None
     out, at = np.empty((len(rows), width)), 0
-    for batch in table.to_batches():  # piece by piece, which memory and caches like
-        out[at : at + batch.num_rows] = np.stack([_numbers(column) for column in batch.columns]).T
-        at += batch.num_rows
-    return out
+    try:
+        # piece by piece: the whole table twice takes more memory than the bar for a file of one digit a cell
+        for batch in csv.open_csv(pyarrow.BufferReader(text), read, parse, convert):
+            nulls = not blank and any(column.null_count for column in batch.columns)
+            if nulls or at + batch.num_rows > len(rows):
+                return None
+            out[at : at + batch.num_rows] = np.stack([_numbers(column) for column in batch.columns]).T
+            at += batch.num_rows
+    except (pyarrow.ArrowException, UnicodeDecodeError):
+        return None
+    return out if at == len(rows) else None
 
 
 def _numbers(column: Any) -> np.ndarray:
@@ -195,18 +268,16 @@ def _numbers(column: Any) -> np.ndarray:
     return np.where(known, values, np.nan)
 
 
-def _body(lines: list[str], rows: list[int]) -> bytes | memoryview:
-    """The bytes of some lines; without a copy where they are all that follows in the file."""
-    raw = getattr(lines, "raw", b"")
-    if not raw or rows[-1] - rows[0] != len(rows) - 1 or any(lines[rows[-1] + 1 :]):
-        return "\n".join(map(lines.__getitem__, rows)).encode()
-    start = 0
-    for _ in range(rows[0]):
-        start = raw.index(b"\n", start) + 1
-    return memoryview(raw)[start:]
+def _body(lines: Sequence[str], rows: np.ndarray) -> bytes | memoryview:
+    """The bytes of some lines; without a copy where no other line with anything in it lies between or after them."""
+    if isinstance(lines, Lines):
+        lengths = np.diff(lines.starts[rows[0] :])
+        if np.count_nonzero(lengths > 1) == np.count_nonzero(lengths[rows - rows[0]] > 1):
+            return memoryview(lines.raw)[lines.starts[rows[0]] :]
+    return "\n".join(map(lines.__getitem__, rows)).encode()
 
 
-def increasing(path: Path, values: np.ndarray, name: str, rows: list[int], column: int) -> None:
+def increasing(path: Path, values: np.ndarray, name: str, rows: np.ndarray, column: int) -> None:
     """Raise InputError unless a column increases row by row and starts with a number."""
     wrong = np.flatnonzero(~(np.diff(values) > 0))
     if not len(values) or (not len(wrong) and np.isfinite(values[0])):

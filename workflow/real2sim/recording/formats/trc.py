@@ -16,11 +16,14 @@ from real2sim.errors import InputError
 from real2sim.recording.formats.qualisys import finding, known_positions
 from real2sim.recording.formats.recordings import Finding, Length, MarkerRecording
 from real2sim.recording.formats.text import (
+    Lines,
     cells_of,
+    check_number_of_names,
     divide_by_tabs,
     increasing,
     read_lines,
     read_table,
+    repeated,
     stripped,
 )
 
@@ -41,8 +44,8 @@ def read_landmarks(path: Path) -> MarkerRecording:
     lines = divide_by_tabs(path, read_lines(path, "a .trc", _EXPORT), "frame#", findings)
     at, header = _header(path, lines)
     names, first = _names(path, lines, at)
-    rows = [i for i in range(first, len(lines)) if lines[i].strip()]
-    if not rows:
+    rows = lines.filled(first)
+    if not len(rows):
         raise InputError(path, "", "a header and no frames", "one row per frame", _EXPORT, "no_data")
     table = read_table(path, lines, rows, 2 + 3 * len(names), f"3 for each of {len(names)} names")
     _check_counts(path, header, len(rows), len(names), findings)
@@ -54,12 +57,21 @@ def read_landmarks(path: Path) -> MarkerRecording:
         raise InputError(path, "column Frame#", "fractions", expected, _EXPORT, "frame_number")
     rate = _rate(path, header, frames, time_s, findings)
     scale = _scale(path, header)
-    positions = known_positions(path, table[:, 2:].reshape(len(rows), -1, 3) / scale, names, findings)
+    positions = _positions(path, table, scale, names, findings)
     length = Length.of(header.get("numframes", ""), len(rows))
     return MarkerRecording(time_s.copy(), rate, positions, int(frames[0]), findings, length=length)
 
 
-def _header(path: Path, lines: list[str]) -> tuple[int, dict[str, str]]:
+def _positions(
+    path: Path, table: np.ndarray, scale: float, names: list[str], findings: list[Finding]
+) -> dict[str, np.ndarray]:
+    """Positions [m] as views of the table, which is scaled in place: copies take more memory than the file."""
+    triples = table[:, 2:].reshape(len(table), len(names), 3)
+    triples /= scale
+    return known_positions(path, triples, names, findings)
+
+
+def _header(path: Path, lines: Lines) -> tuple[int, dict[str, str]]:
     """Number of the line of names, and the values of lines 2 and 3 by lower-case key."""
     at = next((i for i, line in enumerate(lines[:50]) if line.split()[:1] == ["Frame#"]), None)
     if at is None or not lines[0].startswith("PathFileType"):
@@ -72,13 +84,14 @@ def _header(path: Path, lines: list[str]) -> tuple[int, dict[str, str]]:
     return at, {key.lower(): value for key, value in zip(keys, values, strict=True)}
 
 
-def _names(path: Path, lines: list[str], at: int) -> tuple[list[str], int]:
+def _names(path: Path, lines: Lines, at: int) -> tuple[list[str], int]:
     """Names in order and the number of the line after X1 Y1 Z1 ...
 
     The row of names leaves two cells after each; the row of axes must number them all.
     """
     cells = stripped(cells_of(lines[at]))[2:]
     names = [cell for cell in cells if cell]
+    check_number_of_names(path, f"line {at + 1}", names, _EXPORT)
     spaced = len(cells) != len(names)
     if spaced and [i for i, cell in enumerate(cells) if cell] != list(range(0, 3 * len(names), 3)):
         expected = "a name over every third column"
@@ -89,7 +102,7 @@ def _names(path: Path, lines: list[str], at: int) -> tuple[list[str], int]:
         found = f"{len(axes)} axes for {len(names)} names"
         expected = f"{', '.join(wanted[:3])}, ..."
         raise InputError(path, f"line {at + 2}", found, expected, _EXPORT, "columns")
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = repeated(names)
     if twice or not names:
         found = f"twice: {', '.join(twice)}" if twice else "no name"
         raise InputError(path, f"line {at + 1}", found, "one name per landmark", _EXPORT, "names")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,13 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     Raises FileNotFoundError where there is none, and UnusableCheckpoint where the file is damaged or of another kind.
     """
     try:
+        with zipfile.ZipFile(path) as archive:
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+                raise UnusableCheckpoint("compressed, which no training writes")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stream:
             arrays = {name: stream[name] for name in stream.files}
         about = json.loads(arrays.pop(_NUMBERS).tobytes())
-    except FileNotFoundError:
+    except (FileNotFoundError, UnusableCheckpoint):
         raise
     except Exception as error:  # zip, numpy and JSON each have their own kinds
         raise UnusableCheckpoint(f"damaged, or of an older version ({type(error).__name__})") from error

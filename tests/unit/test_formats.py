@@ -4,16 +4,12 @@ import struct
 
 import numpy as np
 import pytest
+from readings import codes
 from real2sim.errors import InputError
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, read_coordinates, write_coordinates
 from real2sim.recording.formats.qualisys import read_markers, write_markers
 from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
 from real2sim.recording.formats.robot_log import ARM_JOINTS, BASE_COLUMNS, read_log, write_log
-
-
-def codes(recording):
-    return [finding.code for finding in recording.findings]
-
 
 # -------------------- Qualisys
 

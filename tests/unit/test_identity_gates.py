@@ -15,8 +15,9 @@ from real2sim.artefacts import read_json, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.recording.formats import qualisys
 from real2sim.recording.formats.recordings import Length, MarkerRecording
-from real2sim.recording.quality import clocks, identity, pairing, sameness, scale
+from real2sim.recording.quality import clocks, identity, measure, pairing, sameness, scale
 from real2sim.recording.quality.stage import quality_subject, quality_table
+from scipy.signal import butter, filtfilt, lfilter
 
 from benchmarks import faults
 
@@ -147,6 +148,34 @@ def _scale_gate(person, name, factor, **changes):
     return faults._judged(person, trial)[1]["scale"]
 
 
+# -------------------- clocks within a log
+
+
+@pytest.mark.parametrize(("late_s", "verdict"), [(0.0, "pass"), (0.02, "warn"), (0.08, "refuse")])
+@pytest.mark.parametrize("trial", ["dynamic_1", "translation_T10", "walk_robot_1"])
+def test_joints_that_are_logged_later_than_the_base_are_found_by_the_motion(person, trial, late_s, verdict):
+    raw = person.raw[trial]
+    late = replace(raw, log=replace(raw.log, joint_time_s=raw.log.joint_time_s + late_s))
+    measured, gates = faults._judged(person, late)
+    assert measured.robot.clock.joint_delay_s == pytest.approx(late_s, abs=5e-4)
+    assert gates["robot_sync"].verdict == verdict
+    assert "/joint_states" in gates["robot_sync"].message
+
+
+def test_file_of_another_motion_is_not_laid_on_the_markers(person):
+    suspect = measure.Suspect(
+        person.raw["rotation_T10"], person.reference, CONFIG["quality"], CONFIG["ingest"]
+    )
+    own, other = person.raw["rotation_T11"], person.raw["dynamic_1"]
+    for file, found in (
+        (own.log, True),
+        (own.coordinates, True),
+        (other.log, False),
+        (other.coordinates, False),
+    ):
+        assert (measure.lay_file(suspect, file) is not None) == found
+
+
 # -------------------- copies
 
 
@@ -186,12 +215,44 @@ def test_copy_of_a_recording_is_found(copy):
     assert sameness.difference(_signature(original), _signature(copy(original))) < 1
 
 
+def _moving_average(values):
+    return np.apply_along_axis(
+        lambda x: np.convolve(np.pad(x, 2, "edge"), np.ones(5) / 5, "valid"), 0, values
+    )
+
+
+@pytest.mark.parametrize(
+    "smooth",
+    [
+        lambda v: filtfilt(*butter(2, 10 / 50), v, axis=0),
+        lambda v: filtfilt(*butter(1, 15 / 50), v, axis=0),
+        lambda v: lfilter(*butter(4, 6 / 50), v - v[0], axis=0) + v[0],
+        _moving_average,
+    ],
+    ids=["10 Hz", "15 Hz, first order", "6 Hz, causal", "moving average"],
+)
+def test_copy_that_was_filtered_is_found_though_it_walks(smooth):
+    """The filter takes more of a step than the cameras' noise is: 0.3 m at 0.8 Hz by a moving average, 0.8 mm."""
+    original = _recording(1, moved=0.3)
+    copied = {name: smooth(values) for name, values in original.items()}
+    assert sameness.difference(_signature(original), _signature(copied)) < 0.5
+
+
 def test_two_recordings_of_one_motion_are_no_copies():
     ratios = [
         sameness.difference(_signature(_recording(2 * i)), _signature(_recording(2 * i + 1)))
         for i in range(20)
     ]
     assert min(ratios) > 1.1
+
+
+def test_two_recordings_of_little_in_common_are_no_copies():
+    """Whatever is fitted takes a part of the noise, and of two seconds a large one."""
+    ratios = []
+    for i in range(20):
+        a, b = (_signature(_recording(seed, seconds=4.5)) for seed in (2 * i, 2 * i + 1))
+        ratios.append(sameness.difference(a, b))
+    assert min(ratios) > 1
 
 
 def test_signature_survives_its_file():

@@ -4,22 +4,10 @@ import struct
 
 import numpy as np
 import pytest
-from real2sim.errors import InputError
+from readings import codes, refusal
 from real2sim.recording.formats import detect, opensim, qualisys, trc
 
 from tests.fuzz import seeds
-
-
-def codes(recording):
-    return [finding.code for finding in recording.findings]
-
-
-def refusal(reader, path):
-    with pytest.raises(InputError) as error:
-        reader(path)
-    assert path.name in str(error.value)
-    assert error.value.remedy
-    return error.value
 
 
 def written(tmp_path, text, name="trial.mot"):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from real2sim.errors import InputError
+from readings import codes, refusal
 from real2sim.recording.formats import detect, mcap_file, qualisys, robot_log
 from real2sim.recording.formats.opensim import is_translation
 
@@ -29,18 +29,6 @@ def files(*kinds):
 
 def values_of(path):
     return EXPECTED[f"{path.parent.name}/{path.name}"]
-
-
-def codes(recording):
-    return [finding.code for finding in recording.findings]
-
-
-def refusal(reader, path):
-    with pytest.raises(InputError) as error:
-        reader(path)
-    assert path.name in str(error.value)
-    assert error.value.remedy
-    return error.value.code
 
 
 def close(values, expected, scale=1.0):
@@ -70,13 +58,13 @@ def test_qualisys_tsv(path):
         read = qualisys.read_markers(path)
         assert read.findings == []
         check_markers(read, expected)
-        assert refusal(qualisys.read_bodies, path) == "wrong_kind"
+        assert refusal(qualisys.read_bodies, path).code == "wrong_kind"
     elif kind == "6D":
         check_bodies(qualisys.read_bodies(path), expected)
-        assert refusal(detect.read_markers, path) == "wrong_kind"
+        assert refusal(detect.read_markers, path).code == "wrong_kind"
     else:
-        assert refusal(detect.read_markers, path) == "wrong_kind"
-        assert refusal(detect.read, path) == "wrong_kind"
+        assert refusal(detect.read_markers, path).code == "wrong_kind"
+        assert refusal(detect.read, path).code == "wrong_kind"
         return
     read = detect.read(path)
     assert read.rate_hz == expected["rate"]
@@ -205,7 +193,7 @@ def test_trc(path):
 def test_opensim_tables(path):
     expected = values_of(path)
     if "labels" not in expected:  # an XML file that lies beside the others
-        assert refusal(detect.read, path) == "unknown_format"
+        assert refusal(detect.read, path).code == "unknown_format"
         return
     read = detect.read(path)
     assert ["time", *read.columns] == expected["labels"]
@@ -229,13 +217,13 @@ def test_opensim_coordinates(path):
     expected = values_of(path)
     first = [str(v) for v in expected.get("first_row", [])]
     if "labels" not in expected:
-        assert refusal(detect.read_markerless, path) == "unknown_format"
+        assert refusal(detect.read_markerless, path).code == "unknown_format"
     elif not expected["rows"]:
-        assert refusal(detect.read_markerless, path) == "no_data"
+        assert refusal(detect.read_markerless, path).code == "no_data"
     elif any("," in v for v in first) or any("force" in label for label in expected["labels"]):
-        assert refusal(detect.read_markerless, path) == "wrong_kind"
+        assert refusal(detect.read_markerless, path).code == "wrong_kind"
     elif not expected.get("inDegrees") and max(abs(float(v)) for v in first[1:]) > 4 * np.pi:
-        assert refusal(detect.read_markerless, path) == "units_ambiguous"
+        assert refusal(detect.read_markerless, path).code == "units_ambiguous"
     else:
         check_coordinates(detect.read_markerless(path), expected)
 
@@ -334,7 +322,7 @@ def squeezed(text):
 
 @pytest.mark.parametrize("path", files("mcap", "mcap_conformance"))
 def test_other_logs_are_refused_as_the_robots(path):
-    code = refusal(robot_log.read_log, path)
+    code = refusal(robot_log.read_log, path).code
     assert code in ("topic_missing", "no_data", "field_missing", "encoding", "message_type")
 
 
@@ -391,4 +379,4 @@ def test_a_file_in_the_place_of_another_kind_is_refused(path):
     }
     for reader, kinds in readers.items():
         if kind not in kinds:
-            assert refusal(reader, path) == "wrong_kind"
+            assert refusal(reader, path).code == "wrong_kind"

@@ -8,7 +8,7 @@ overlap, to get Qualisys time; a drift d means that the other clock runs (1 - d)
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,6 +25,8 @@ _GRID_HZ = 10.0  # samples that this band leaves independent
 _CLUSTER_S = 1.0  # residuals within are not taken as independent
 _ITERATIONS = 12
 _CONVERGED_S = 1e-7
+_EXPLAINED = 0.5  # residual over motion from which a log is of something else, and no delay is looked for
+_DELAY_CONVERGED_S = 1e-5  # a hundredth of what is warned of
 NORMAL_95 = 1.959963984540054
 
 
@@ -36,6 +38,8 @@ class ClockFit:
     ``seconds`` of motion are what the errors rest on: as many independent pieces. ``scale`` is the length of the
     markers' motion over that of the other system's, with its standard error, infinite where it was not estimated.
     ``by_second`` (k, 2) has each second of the markers' time and the mean square of its residual [m^2].
+    ``joint_delay_s`` is how much later than the base the joints are logged, with its standard error, infinite where
+    it was not estimated.
     """
 
     offset_s: float
@@ -50,6 +54,8 @@ class ClockFit:
     scale: float = 1.0
     scale_sd: float = float("inf")
     by_second: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    joint_delay_s: float = 0.0
+    joint_delay_sd_s: float = float("inf")
 
     def certainty(self, normal_sd: float) -> float:
         """Standard errors that are as rare as ``normal_sd`` of a normal distribution: Student's t, seconds - 2.
@@ -122,9 +128,16 @@ class _Arm:
         values = np.hstack([CubicSpline(base_time, base)(time_s), joints[inside]])
         return cls(CubicSpline(time_s, values), float(time_s[0]), float(time_s[-1]))
 
-    def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Position of the arm's turning point over the floor, base and arm orientation; (n, 3), (n, 3, 3)."""
+    def at(
+        self, time_s: np.ndarray, joints_s: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Position of the arm's turning point over the floor, base and arm orientation; (n, 3), (n, 3, 3).
+
+        ``joints_s`` (n,) are the times of lift, roll and pitch where these differ from those of the base.
+        """
         x, y, yaw, lift, roll, pitch = self.spline(time_s).T
+        if joints_s is not None and joints_s is not time_s:
+            lift, roll, pitch = self.spline(joints_s).T[3:]
         base = Rotation.from_euler("z", yaw[:, None]).as_matrix()
         arm = base @ Rotation.from_euler("XY", np.column_stack([roll, pitch])).as_matrix()
         return np.column_stack([x, y, lift]), base, arm, yaw
@@ -203,6 +216,9 @@ def robot_clock(
                 break
     rms = float(np.sqrt(np.mean(residual**2)))
     seconds = len(np.unique(cluster))
+    delay = 0.0, float("inf")
+    if not scaled and rms < _EXPLAINED * points.std(axis=0).max():
+        delay = _joint_delay(arm, own, t - middle, points, geometry)
     return ClockFit(
         offset_s,
         float(sd[0]),
@@ -216,7 +232,33 @@ def robot_clock(
         geometry.scale,
         float(sd[17]),
         mean_squares(t, residual.reshape(-1, 6)),
+        *delay,
     )
+
+
+def _joint_delay(
+    arm: _Arm, own: np.ndarray, centred: np.ndarray, points: np.ndarray, geometry: _Geometry
+) -> tuple[float, float]:
+    """Return how much later than the base the joints are logged [s], and its standard error.
+
+    Goes on from a fit in which both have one clock; clock and geometry are unknown here too.
+    """
+    geometry, delay, sd = replace(geometry), 0.0, float("inf")
+    cluster = np.repeat(np.floor((centred - centred[0]) / _CLUSTER_S).astype(int), 6)
+    for _ in range(_ITERATIONS // 2):
+        late = np.clip(own + delay, arm.start_s, arm.end_s)
+        residual, jacobian = _robot_system(arm, own, centred, points, geometry, late)
+        slope = _chain(arm, geometry, own, late + 1e-4)[0] - _chain(arm, geometry, own, late - 1e-4)[0]
+        column = (slope @ geometry.ground.T / 2e-4).reshape(-1, 1)
+        if not np.linalg.norm(column) > 0:
+            return 0.0, float("inf")
+        step, variance = solve(np.hstack([jacobian[:, :17], column]), residual, cluster)
+        own = np.clip(own - step[0] - step[1] * centred, arm.start_s, arm.end_s)
+        geometry.move(np.append(step[:17], 0.0))
+        delay, sd = float(delay + np.clip(step[17], -0.1, 0.1)), float(np.sqrt(variance[17]))
+        if abs(step[17]) < _DELAY_CONVERGED_S:
+            break
+    return delay, sd
 
 
 def mean_squares(time_s: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -241,17 +283,20 @@ def _robot_system(
     centred: np.ndarray,
     points: np.ndarray,
     geometry: _Geometry,
+    joints_s: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (6n,) and Jacobian (6n, 18) by offset, drift, ground, shift, mount, the two places and scale."""
+    """Residuals (6n,) and Jacobian (6n, 18) by offset, drift, ground, shift, mount, the two places and scale.
+
+    ``joints_s`` (n,) are the times of the joints where these differ from those of the base, ``own`` (n,).
+    """
     ground, shift = geometry.ground, geometry.shift
-
-    def chain(times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        path, base, turned, _ = arm.at(times)
-        reached = path + (geometry.scale - 1) * (path - geometry.centre) + base @ geometry.mount
-        return reached[:, None] + np.einsum("nij,kj->nki", turned, geometry.place), base, turned
-
-    local, base, turned = chain(own)
-    slope = (chain(own + 1e-4)[0] - chain(own - 1e-4)[0]) / 2e-4
+    late = own if joints_s is None else joints_s
+    local, base, turned = _chain(arm, geometry, own, late)
+    after, before = (
+        _chain(arm, geometry, own + 1e-4, late + 1e-4),
+        _chain(arm, geometry, own - 1e-4, late - 1e-4),
+    )
+    slope = (after[0] - before[0]) / 2e-4
     moved = local @ ground.T
     n = len(own)
     jacobian = np.zeros((n, 2, 3, 18))
@@ -264,6 +309,15 @@ def _robot_system(
         jacobian[:, k, :, 11 + 3 * k : 14 + 3 * k] = ground @ turned
     jacobian[..., 17] = ((arm.at(own)[0] - geometry.centre) @ ground.T)[:, None]
     return (moved + shift - points).ravel(), jacobian.reshape(6 * n, 18)
+
+
+def _chain(
+    arm: _Arm, geometry: _Geometry, time_s: np.ndarray, joints_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return both markers (n, 2, 3) [m] in the robot's ground, and the orientations (n, 3, 3) of base and arm."""
+    path, base, turned, _ = arm.at(time_s, joints_s)
+    reached = path + (geometry.scale - 1) * (path - geometry.centre) + base @ geometry.mount
+    return reached[:, None] + np.einsum("nij,kj->nki", turned, geometry.place), base, turned
 
 
 def _cross(v: np.ndarray) -> np.ndarray:

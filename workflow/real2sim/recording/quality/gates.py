@@ -299,28 +299,48 @@ def _interval(value: float, sd: float) -> list[float] | None:
 
 
 def _robot_sync(m: Measured, settings: QualitySettings) -> Gate:
+    """Offset of /sync from the motion, or of the joints from the base, whichever is graver."""
     robot, limits = m.robot, settings["robot_sync"]
     assert robot is not None
     fit = robot.clock
-    if fit is None or fit.offset_sd_s > limits["certain_s"]:
-        message = "too little motion to check the offset"
-        return sized_gate("robot_sync", None, "s", settings, message, "")
-    start = fit.offset_s - fit.drift * fit.middle_s
-    sd = float(np.hypot(fit.offset_sd_s, fit.drift_sd * fit.middle_s))
-    span = _interval(start, sd)
-    if robot.sync_s is None:
-        message = f"offset {1e3 * start:.2f} ms by the motion, no /sync"
+    judged: list[tuple[str, float, float, str, str]] = []
+    notes, span = [], None
+    if fit is not None and fit.offset_sd_s <= limits["certain_s"]:
+        start = fit.offset_s - fit.drift * fit.middle_s
+        sd = float(np.hypot(fit.offset_sd_s, fit.drift_sd * fit.middle_s))
+        if robot.sync_s is None:
+            notes, span = [f"offset {1e3 * start:.2f} ms by the motion, no /sync"], _interval(start, sd)
+        else:
+            off = start - robot.sync_s
+            message = (
+                f"/sync says {1e3 * robot.sync_s:.2f} ms, the motion {1e3 * start:.2f} +- "
+                f"{1e3 * clocks.NORMAL_95 * sd:.2f} ms: {1e3 * off:+.2f} ms apart"
+            )
+            remedy = "Check the wiring of /sync, or leave the topic out of the log."
+            judged.append((_sure_by_size(off, sd, limits), off, sd, message, remedy))
+    if fit is not None and fit.joint_delay_sd_s <= limits["certain_s"]:
+        late, sd = fit.joint_delay_s, fit.joint_delay_sd_s
+        message = (
+            f"/joint_states is logged {1e3 * late:+.2f} +- {1e3 * clocks.NORMAL_95 * sd:.2f} ms after /odom, "
+            "by the motion of the markers"
+        )
+        remedy = "Let the publishers stamp their messages with one clock, and record again."
+        judged.append((_sure_by_size(late, sd, limits), late, sd, message, remedy))
+    if not judged:
+        message = notes[0] if notes else "too little motion to check the offset"
         return sized_gate("robot_sync", None, "s", settings, message, "", interval=span)
-    off = start - robot.sync_s
-    verdict = by_size(abs(off), [limits["warn"], limits["refuse"]]) if abs(off) > 4 * sd else PASS
-    message = (
-        f"/sync says {1e3 * robot.sync_s:.2f} ms, the motion {1e3 * start:.2f} +- "
-        f"{1e3 * clocks.NORMAL_95 * sd:.2f} ms: {1e3 * off:+.2f} ms apart"
-    )
-    remedy = "" if verdict == PASS else "Check the wiring of /sync, or leave the topic out of the log."
+    verdict = worst(v for v, *_ in judged)
+    value, sd, remedy = next((value, sd, remedy) for v, value, sd, _, remedy in judged if v == verdict)
+    message = "; ".join([*notes, *(text for *_, text, _ in judged)])
+    remedy = "" if verdict == PASS else remedy
     return sized_gate(
-        "robot_sync", off, "s", settings, message, remedy, verdict=verdict, interval=_interval(off, sd)
+        "robot_sync", value, "s", settings, message, remedy, verdict=verdict, interval=_interval(value, sd)
     )
+
+
+def _sure_by_size(value: float, sd: float, limits: Mapping[str, Any]) -> str:
+    """Verdict of a time by its size, pass within four standard errors."""
+    return by_size(abs(value), [limits["warn"], limits["refuse"]]) if abs(value) > 4 * sd else PASS
 
 
 def _drift_gate(

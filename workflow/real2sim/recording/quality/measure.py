@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -203,33 +204,81 @@ def _lengths(trial: RawTrial) -> dict[str, Length]:
     return {system: length for system, length in both.items() if length is not None}
 
 
+@dataclass
+class Suspect:
+    """Trial on whose markers the files of other trials are laid; ``reference`` as in `measure`."""
+
+    trial: RawTrial
+    reference: np.ndarray
+    settings: QualitySettings
+    ingest: IngestSettings
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Times (n,) [s] of the markers."""
+        return marker_clock(self.trial.recording)
+
+    @cached_property
+    def clean(self) -> dict[str, np.ndarray]:
+        """Positions (n, 3) [m] of the markers after cleaning."""
+        return _cleaned(self.trial.recording, self.reference, self.settings, self.ingest).positions
+
+    @cached_property
+    def pelvis(self) -> alignment.PelvisPath | None:
+        """Pelvis of the markers."""
+        return _pelvis_path(self.time_s, self.clean, self.trial.recording.rate_hz, self.ingest)
+
+    @cached_property
+    def bridged(self) -> alignment.PelvisPath | None:
+        """Pelvis without holes, for the coarse search."""
+        return _bridged(self.pelvis) if self.pelvis is not None else None
+
+
+File = RobotLog | CoordinateRecording
+
+
 def find_exchanges(
     trials: dict[str, RawTrial],
     measured: dict[str, Measured],
     reference: np.ndarray,
     settings: QualitySettings,
     ingest: IngestSettings,
+    lay: Callable[[Suspect, File], pairing.Shared | None] | None = None,
 ) -> None:
     """Note, in ``measured``, trials whose robot log or markerless file fits another trial of the person better.
 
     Only trials are compared whose residual is ``quality.exchanged.suspect`` times the person's smallest of that
-    system, as each comparison takes as long as a measurement. Quiet standing cannot be told apart.
+    system, as each comparison takes as long as a measurement. Quiet standing cannot be told apart. ``lay`` takes the
+    place of `lay_file`, for who has laid the same files before.
     """
     limits = settings["exchanged"]
     moving = [name for name, m in measured.items() if m.kind != "neutral"]
+    suspects = {name: Suspect(trials[name], reference, settings, ingest) for name in moving}
     for system in ("robot log", "markerless"):
+        files = {name: file for name in moving if (file := _file_of(trials[name], system)) is not None}
         known = {name: shared for name in moving if (shared := _shared(measured[name], system)) is not None}
         least = min((shared.residual_m for shared in known.values()), default=np.inf)
         for name, own in known.items():
             if own.residual_m < limits["suspect"] * least:
                 continue
-            trial = trials[name]
-            clean = _cleaned(trial.recording, reference, settings, ingest).positions
-            others = [other for other in moving if other != name]
-            fit = partial(_lay, system, trial, clean, trials, ingest)
+            others = [other for other in files if other != name]
+            fit = partial(_lay_other, lay or lay_file, suspects[name], files)
             found = pairing.find_better(own, others, fit, limits["certainty_sd"])
             if found is not None:
                 measured[name].identity.exchanged[system] = found
+
+
+def _lay_other(
+    lay: Callable[[Suspect, File], pairing.Shared | None],
+    suspect: Suspect,
+    files: Mapping[str, File],
+    other: str,
+) -> pairing.Shared | None:
+    return lay(suspect, files[other])
+
+
+def _file_of(trial: RawTrial, system: str) -> File | None:
+    return trial.log if system == "robot log" else trial.coordinates
 
 
 def _shared(m: Measured, system: str) -> pairing.Shared | None:
@@ -237,22 +286,23 @@ def _shared(m: Measured, system: str) -> pairing.Shared | None:
     return other.shared if other is not None else None
 
 
-def _lay(
-    system: str,
-    trial: RawTrial,
-    clean: dict[str, np.ndarray],
-    trials: dict[str, RawTrial],
-    ingest: IngestSettings,
-    other: str,
-) -> pairing.Shared | None:
-    """Motion that the markers of a trial share with the robot log or markerless file of another."""
-    log, coordinates, time_s = trials[other].log, trials[other].coordinates, marker_clock(trial.recording)
-    if system == "robot log":
-        return _robot(log, time_s, clean, ingest).shared if log is not None else None
-    if coordinates is None or not set(PELVIS_COORDINATES) <= set(coordinates.columns):
+def lay_file(suspect: Suspect, file: File) -> pairing.Shared | None:
+    """Return the motion that the markers of a trial share with a robot log or markerless file.
+
+    None where the motion of one is not found in the other: a file that cannot be synchronised is not the right one.
+    """
+    ingest = suspect.ingest
+    if isinstance(file, RobotLog):
+        coarse = _coarse_robot(file, suspect.time_s, suspect.clean)
+        if coarse is None or coarse.correlation < ingest["robot_log"]["min_correlation"]:
+            return None
+        return _robot(file, suspect.time_s, suspect.clean, ingest).shared
+    path = _path_of(file) if set(PELVIS_COORDINATES) <= set(file.columns) else None
+    if suspect.bridged is None or path is None:
         return None
-    pelvis = _pelvis_path(time_s, clean, trial.recording.rate_hz, ingest)
-    found = _markerless(coordinates, pelvis, ingest)
+    if alignment.coarse_offset(suspect.bridged, path)[1] < ingest["markerless"]["min_correlation"]:
+        return None
+    found = _markerless(file, suspect.pelvis, ingest)
     return found.shared if found is not None else None
 
 
@@ -306,18 +356,31 @@ def _log_angles(log: RobotLog, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.column_stack([yaw, np.interp(grid, log.joint_time_s, log.joints["arm_roll"][:, 0])])
 
 
-def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: IngestSettings) -> Robot:
-    rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+def _rate_of(time_s: np.ndarray) -> float:
+    return float((len(time_s) - 1) / (time_s[-1] - time_s[0]))
+
+
+def _coarse_robot(
+    log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray]
+) -> alignment.TimeFit | None:
+    """Time by the turning of the line between the interface markers; None where there is too little of it."""
+    rate = _rate_of(time_s)
     angles = _line_angles(clean)
     grid, theirs = _log_angles(log, rate)
+    if len(grid) <= 100 or signals.known(angles).sum() <= 100:
+        return None
+    ours = signals.derivative(_closed(angles), rate)
+    return alignment.align_signals(time_s, ours, grid, signals.derivative(theirs, rate))
+
+
+def _robot(log: RobotLog, time_s: np.ndarray, clean: dict[str, np.ndarray], ingest: IngestSettings) -> Robot:
+    angles = _line_angles(clean)
+    grid, theirs = _log_angles(log, _rate_of(time_s))
     sync = -float(log.sync_s[0]) if log.sync_s is not None and len(log.sync_s) else None
     offset = sync if sync is not None else float(time_s[0])
     correlation = 0.0
-    if len(grid) > 100 and signals.known(angles).sum() > 100:
-        filled = _closed(angles)
-        coarse = alignment.align_signals(
-            time_s, signals.derivative(filled, rate), grid, signals.derivative(theirs, rate)
-        )
+    coarse = _coarse_robot(log, time_s, clean)
+    if coarse is not None:
         correlation = coarse.correlation
         if correlation >= ingest["robot_log"]["min_correlation"] and coarse.offset_sd_s < 0.1:
             offset = coarse.offset_s
@@ -357,15 +420,22 @@ def _robot_clock(
 # -------------------- markerless
 
 
+def _path_of(coordinates: CoordinateRecording) -> alignment.PelvisPath | None:
+    """Return the markerless pelvis; None of less than ten rows or with missing values."""
+    if len(coordinates.time_s) < 10:
+        return None
+    rotation, position = alignment.pelvis_of_coordinates(coordinates.columns)
+    if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
+        return None
+    return alignment.PelvisPath(coordinates.time_s, rotation, position)
+
+
 def _markerless(
     coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: IngestSettings
 ) -> Markerless | None:
-    if pelvis is None or len(coordinates.time_s) < 10:
+    other = _path_of(coordinates)
+    if pelvis is None or other is None:
         return None
-    r_other, p_other = alignment.pelvis_of_coordinates(coordinates.columns)
-    if not (np.isfinite(p_other).all() and np.isfinite(r_other).all()):
-        return None
-    other = alignment.PelvisPath(coordinates.time_s, r_other, p_other)
     bridged = _bridged(pelvis)
     offset, correlation = alignment.coarse_offset(bridged, other)
     moving = correlation >= ingest["markerless"]["min_correlation"]

@@ -28,6 +28,8 @@ _CANDIDATES = 6  # maxima that are tried: gait repeats itself
 _HOPELESS = 200.0  # difference over noise at a whole sample that no fraction of a sample explains
 _KEPT = 0.98  # of the second differences: gaps and spikes are in the rest
 _ROUNDS = 3  # of leaving out what does not fit
+_REACH = 2  # rows on either side of which a difference of order four is made
+_FITTED = 11  # place, turn, shift and the four differences
 _MEDIAN_CHI2 = 0.4549  # of one degree of freedom
 _NEAR_M = 0.004  # copies have the distances of their pelvis markers in common
 
@@ -115,10 +117,11 @@ def difference(a: Signature, b: Signature) -> float:
         return float("inf")
     ours, theirs = (np.linalg.norm(np.gradient(x.path, axis=0), axis=1) for x in (a, b))
     lags = _lags(ours, theirs)
-    spline, rows = CubicSpline(np.arange(len(b.path)), b.path), np.arange(len(a.path))
+    spline = CubicSpline(np.arange(_REACH, len(b.path) - _REACH), _with_differences(b.path))
+    rows = np.arange(len(a.path))
 
     def apart(shift: float) -> float:
-        inside = (rows - shift >= 0) & (rows - shift <= len(b.path) - 1)
+        inside = (rows - shift >= _REACH) & (rows - shift <= len(b.path) - 1 - _REACH)
         if inside.sum() < _LEAST:
             return float("inf")
         return _apart(a.path[inside], spline(rows[inside] - shift))
@@ -153,17 +156,39 @@ def _lags(x: np.ndarray, y: np.ndarray) -> list[int]:
     return [int(lags[i]) for i in peaks[order] - 1]
 
 
+def _with_differences(path: np.ndarray) -> np.ndarray:
+    """Return a path (n, 3) and its central differences of orders 1 to 4, (n - 4, 5, 3), without two rows at each end.
+
+    A filter that a copy went through acts below 2 Hz like a kernel of five taps with unit gain at rest: its gain and
+    delay are smooth in frequency there. The differences span these kernels.
+    """
+    first, second = (path[2:] - path[:-2]) / 2, np.diff(path, 2, axis=0)
+    third, fourth = (second[2:] - second[:-2]) / 2, np.diff(second, 2, axis=0)
+    return np.stack([path[2:-2], first[1:-1], second[1:-1], third, fourth], axis=1)
+
+
 def _apart(x: np.ndarray, y: np.ndarray) -> float:
-    """Robust SD per axis [m] of two paths (n, 3) laid on each other; gaps that one of them has filled do not count."""
+    """Return the robust SD per axis [m] between a path (n, 3) and another with its differences (n, 5, 3), laid on it.
+
+    One kernel for all axes and the whole overlap is fitted beside place and turn, and the SD is for the freedom that
+    is left. Gaps that one of the two has filled do not count.
+    """
     use = np.ones(len(x), bool)
+    taps = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     left = np.zeros_like(x)
     for _ in range(_ROUNDS):
-        mean_x, mean_y = x[use].mean(axis=0), y[use].mean(axis=0)
-        turn, _ = Rotation.align_vectors(x[use] - mean_x, y[use] - mean_y)
-        left = x - mean_x - turn.apply(y - mean_y)
+        passed = np.einsum("k,nki->ni", taps, y)
+        turn, _ = Rotation.align_vectors(x[use] - x[use].mean(axis=0), passed[use] - passed[use].mean(axis=0))
+        turned = np.einsum("ij,nkj->nki", turn.as_matrix(), y)
+        target, parts = x - turned[:, 0], turned[:, 1:]
+        target, parts = target - target[use].mean(axis=0), parts - parts[use].mean(axis=0)
+        design = np.moveaxis(parts[use], 1, 2).reshape(-1, 4)
+        taps[1:] = np.linalg.lstsq(design, target[use].ravel(), rcond=None)[0]
+        left = target - np.einsum("k,nki->ni", taps[1:], parts)
         size = np.linalg.norm(left, axis=1)
         use = size <= 2 * np.median(size)
-    return float(np.sqrt(np.median(left**2) / _MEDIAN_CHI2))
+    known = left.size * 2 * _BAND_HZ / _RATE_HZ  # independent values that the band leaves
+    return float(np.sqrt(np.median(left**2) / _MEDIAN_CHI2 * known / (known - _FITTED)))
 
 
 def find_same(

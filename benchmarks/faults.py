@@ -523,9 +523,12 @@ def report(cases: list[Case], alarms: list[str], clean: int) -> None:
         for case in some:
             if not case.detected:
                 print(f"  missed: {case.detail}")
-    print(f"all: detected {share(sum(c.detected for c in cases), len(cases))} (bar 98 %)")
-    rest = [case for case in cases if case.kind != "drift markerless"]
-    print(f"all but drift of the markerless clock: {share(sum(c.detected for c in rest), len(rest))}")
+    for name, some in (
+        ("all", cases),
+        ("all but drift of the markerless clock", [c for c in cases if c.kind != "drift markerless"]),
+    ):
+        if some:
+            print(f"{name}: detected {share(sum(c.detected for c in some), len(some))} (bar 98 %)")
     print(f"clean trials with an alarm: {share(len(alarms), clean)} (bar 1 %)")
     for alarm in alarms:
         print(f"  {alarm}")

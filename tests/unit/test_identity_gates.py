@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,9 @@ from real2sim.recording.quality.stage import quality_subject, quality_table
 from scipy.signal import butter, filtfilt, lfilter
 
 from benchmarks import faults
+from benchmarks.mistaken_files import MISTAKES, Lab
+
+SAME = CONFIG["quality"]["same"]
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +109,25 @@ def test_untouched_trials_of_the_same_person_pass_these_gates(mixed_up):
             gate: mixed_up[name][gate]["verdict"] for gate in identity.GATES if gate in mixed_up[name]
         }
         assert set(verdicts.values()) == {"pass"}
+
+
+@pytest.mark.parametrize(
+    "make", dict.fromkeys(m for ways in MISTAKES.values() for m in ways), ids=lambda m: m.__name__
+)
+def test_mistake_is_made_on_files_of_its_own(folder, tmp_path, make):
+    """The benchmark's sessions are hard links: what a mistake changes must not reach the clean session."""
+    clean = folder / "raw" / "S01"
+    before = {path.name: path.read_bytes() for path in clean.iterdir()}
+    own = tmp_path / "S01"
+    own.mkdir()
+    for path in clean.iterdir():
+        os.link(path, own / path.name)
+    mistake = make(Lab(own, [clean], np.random.default_rng(5)))
+    assert {path.name: path.read_bytes() for path in clean.iterdir()} == before
+    changed = {path.stem for path in own.iterdir() if path.read_bytes() != before[path.name]}
+    # the only other person is the same one here, whose trial is no change
+    assert changed == set(mistake.changed) or mistake.donor is not None
+    assert mistake.right
 
 
 # -------------------- scale
@@ -212,7 +235,7 @@ def _signature(positions):
 )
 def test_copy_of_a_recording_is_found(copy):
     original = _recording(1)
-    assert sameness.difference(_signature(original), _signature(copy(original))) < 1
+    assert sameness.difference(_signature(original), _signature(copy(original)), SAME) < 1
 
 
 def _moving_average(values):
@@ -235,12 +258,12 @@ def test_copy_that_was_filtered_is_found_though_it_walks(smooth):
     """The filter takes more of a step than the cameras' noise is: 0.3 m at 0.8 Hz by a moving average, 0.8 mm."""
     original = _recording(1, moved=0.3)
     copied = {name: smooth(values) for name, values in original.items()}
-    assert sameness.difference(_signature(original), _signature(copied)) < 0.5
+    assert sameness.difference(_signature(original), _signature(copied), SAME) < 0.5
 
 
 def test_two_recordings_of_one_motion_are_no_copies():
     ratios = [
-        sameness.difference(_signature(_recording(2 * i)), _signature(_recording(2 * i + 1)))
+        sameness.difference(_signature(_recording(2 * i)), _signature(_recording(2 * i + 1)), SAME)
         for i in range(20)
     ]
     assert min(ratios) > 1.1
@@ -251,7 +274,7 @@ def test_two_recordings_of_little_in_common_are_no_copies():
     ratios = []
     for i in range(20):
         a, b = (_signature(_recording(seed, seconds=4.5)) for seed in (2 * i, 2 * i + 1))
-        ratios.append(sameness.difference(a, b))
+        ratios.append(sameness.difference(a, b, SAME))
     assert min(ratios) > 1
 
 
@@ -259,13 +282,13 @@ def test_signature_survives_its_file():
     own = _signature(_recording(1))
     again = sameness.Signature.unpacked(json.loads(json.dumps(own.packed())))
     np.testing.assert_allclose(again.path, own.path, atol=1e-6)
-    assert sameness.difference(own, again) < 0.1
+    assert sameness.difference(own, again, SAME) < 0.1
 
 
 def test_one_file_under_two_names_is_a_copy_whatever_it_holds():
     a = sameness.signature(_recording(1), 100.0, {"markers": "1", "robot log": "7"})
     b = sameness.signature(_recording(2, moved=0.2), 100.0, {"markers": "2", "robot log": "7"})
-    (found,) = sameness.find_same({"a": a, "b": b}, 1.0)
+    (found,) = sameness.find_same({"a": a, "b": b}, SAME)
     assert found.file == "robot log"
 
 
@@ -333,10 +356,25 @@ def test_better_file_needs_certainty():
         return pairing.Shared(0.1, rms, np.column_stack([seconds, rms**2 * rng.chisquare(30, 12) / 30]))
 
     own = shared(0.005)
-    assert pairing.find_better(own, ["a"], lambda _: shared(0.0049), 5) is None
-    found = pairing.find_better(own, ["a", "b"], lambda name: shared({"a": 0.002, "b": 0.001}[name]), 5)
-    assert found is not None
-    assert found.trial == "b"
+    better = pairing.find_better(
+        own, ["a", "b", "c"], lambda name: shared({"a": 0.0049, "b": 0.002, "c": 0.001}[name]), 5
+    )
+    assert better["a"].certainty < 5
+    assert pairing.choose_exchanges({"own": better}, 5)["own"].trial == "c"
+    assert pairing.choose_exchanges({"own": {"a": better["a"]}}, 5) == {}
+
+
+def test_evidence_of_both_trials_counts_for_an_exchange():
+    """Two rotations whose logs were exchanged: 4.8 standard errors each, as the holds between the swings agree."""
+
+    def found(trial: str, certainty: float) -> dict[str, pairing.Exchanged]:
+        return {trial: pairing.Exchanged(trial, 0.00099, 0.00036, certainty)}
+
+    both = pairing.choose_exchanges({"a": found("b", 4.79), "b": found("a", 4.80)}, 5)
+    assert {name: other.trial for name, other in both.items()} == {"a": "b", "b": "a"}
+    assert both["a"].certainty == pytest.approx(6.78, abs=0.01)
+    assert pairing.choose_exchanges({"a": found("b", 4.79), "b": {}}, 5) == {}
+    assert pairing.choose_exchanges({"a": found("b", 4.79), "b": found("a", 0.5)}, 5) == {}
 
 
 def test_mean_squares_are_by_second():

@@ -274,6 +274,9 @@ QualitySameSettings = TypedDict(
     "QualitySameSettings",
     {
         "least_difference": float,
+        "least_s": float,
+        "least_correlation": float,
+        "shape_m": float,
     },
 )
 
@@ -282,6 +285,7 @@ QualityExchangedSettings = TypedDict(
     {
         "suspect": float,
         "certainty_sd": float,
+        "least_s": float,
     },
 )
 
@@ -297,6 +301,7 @@ QualityRobotPairSettings = TypedDict(
 QualityMarkerlessPairSettings = TypedDict(
     "QualityMarkerlessPairSettings",
     {
+        "lever_m": float,
         "least_motion_m": float,
         "warn": float,
         "refuse": float,
@@ -306,6 +311,7 @@ QualityMarkerlessPairSettings = TypedDict(
 QualityScaleSettings = TypedDict(
     "QualityScaleSettings",
     {
+        "least_s": float,
         "warn": float,
         "refuse": float,
     },

@@ -26,6 +26,7 @@ _CLUSTER_S = 1.0  # residuals within are not taken as independent
 _ITERATIONS = 12
 _CONVERGED_S = 1e-7
 _EXPLAINED = 0.5  # residual over motion from which a log is of something else, and no delay is looked for
+_UNKNOWN = 0.0, float("inf")  # value and standard error
 _DELAY_CONVERGED_S = 1e-5  # a hundredth of what is warned of
 NORMAL_95 = 1.959963984540054
 
@@ -195,8 +196,7 @@ def robot_clock(
         return None
     t, points = time_s[good], points[good]
     middle, cluster = float(t.mean()), np.floor((t - t[0]) / _CLUSTER_S).astype(int)
-    path = arm.at(t - offset_s)[0]
-    geometry = _Geometry(_first_ground(arm, t - offset_s, points), path.mean(axis=0))
+    geometry = _Geometry(_first_ground(arm, t - offset_s, points), arm.at(t - offset_s)[0].mean(axis=0))
     residual = np.zeros(0)
     for iteration in range(2 * _ITERATIONS if scaled else _ITERATIONS):
         own = np.clip(t - offset_s - drift * (t - middle), arm.start_s, arm.end_s)
@@ -215,10 +215,8 @@ def robot_clock(
             if settled and abs(step[0]) < _CONVERGED_S and abs(step[1]) < 1e-8:
                 break
     rms = float(np.sqrt(np.mean(residual**2)))
-    seconds = len(np.unique(cluster))
-    delay = 0.0, float("inf")
-    if not scaled and rms < _EXPLAINED * points.std(axis=0).max():
-        delay = _joint_delay(arm, own, t - middle, points, geometry)
+    explained = rms < _EXPLAINED * points.std(axis=0).max()
+    joints = _joint_delay(arm, own, t - middle, points, geometry) if explained and not scaled else _UNKNOWN
     return ClockFit(
         offset_s,
         float(sd[0]),
@@ -228,11 +226,11 @@ def robot_clock(
         rms,
         geometry.ground,
         sd[2:5],
-        seconds,
+        len(np.unique(cluster)),
         geometry.scale,
         float(sd[17]),
         mean_squares(t, residual.reshape(-1, 6)),
-        *delay,
+        *joints,
     )
 
 
@@ -251,7 +249,7 @@ def _joint_delay(
         slope = _chain(arm, geometry, own, late + 1e-4)[0] - _chain(arm, geometry, own, late - 1e-4)[0]
         column = (slope @ geometry.ground.T / 2e-4).reshape(-1, 1)
         if not np.linalg.norm(column) > 0:
-            return 0.0, float("inf")
+            return _UNKNOWN
         step, variance = solve(np.hstack([jacobian[:, :17], column]), residual, cluster)
         own = np.clip(own - step[0] - step[1] * centred, arm.start_s, arm.end_s)
         geometry.move(np.append(step[:17], 0.0))

@@ -191,7 +191,7 @@ def measure(
         out.robot = _robot(trial.log, time_s, clean, ingest)
     if trial.coordinates is not None and set(PELVIS_COORDINATES) <= set(trial.coordinates.columns):
         out.spacing["markerless"] = _spacing(trial.coordinates.time_s)
-        out.markerless = _markerless(trial.coordinates, pelvis, ingest)
+        out.markerless = _markerless(trial.coordinates, pelvis, settings, ingest)
     _rate_by_motion(out, trial, pelvis, clean, time_s, settings["rate"])
     return out
 
@@ -258,14 +258,15 @@ def find_exchanges(
         files = {name: file for name in moving if (file := _file_of(trials[name], system)) is not None}
         known = {name: shared for name in moving if (shared := _shared(measured[name], system)) is not None}
         least = min((shared.residual_m for shared in known.values()), default=np.inf)
+        better = {}
         for name, own in known.items():
             if own.residual_m < limits["suspect"] * least:
                 continue
             others = [other for other in files if other != name]
             fit = partial(_lay_other, lay or lay_file, suspects[name], files)
-            found = pairing.find_better(own, others, fit, limits["certainty_sd"])
-            if found is not None:
-                measured[name].identity.exchanged[system] = found
+            better[name] = pairing.find_better(own, others, fit, limits["least_s"])
+        for name, found in pairing.choose_exchanges(better, limits["certainty_sd"]).items():
+            measured[name].identity.exchanged[system] = found
 
 
 def _lay_other(
@@ -302,7 +303,7 @@ def lay_file(suspect: Suspect, file: File) -> pairing.Shared | None:
         return None
     if alignment.coarse_offset(suspect.bridged, path)[1] < ingest["markerless"]["min_correlation"]:
         return None
-    found = _markerless(file, suspect.pelvis, ingest)
+    found = _markerless(file, suspect.pelvis, suspect.settings, ingest)
     return found.shared if found is not None else None
 
 
@@ -431,7 +432,10 @@ def _path_of(coordinates: CoordinateRecording) -> alignment.PelvisPath | None:
 
 
 def _markerless(
-    coordinates: CoordinateRecording, pelvis: alignment.PelvisPath | None, ingest: IngestSettings
+    coordinates: CoordinateRecording,
+    pelvis: alignment.PelvisPath | None,
+    settings: QualitySettings,
+    ingest: IngestSettings,
 ) -> Markerless | None:
     other = _path_of(coordinates)
     if pelvis is None or other is None:
@@ -448,8 +452,10 @@ def _markerless(
     if moving:
         clock = clocks.markerless_clock(pelvis, other, space, offset_s=time_fit.offset_s)
     at = clock.offset_s if clock is not None else time_fit.offset_s
-    shared = pairing.markerless_shared(pelvis, other, space, at)
-    metres = scale.markerless_scale(pelvis, other, space.rotation, at) if moving else None
+    shared = pairing.markerless_shared(pelvis, other, space, at, settings["markerless_pair"]["lever_m"])
+    metres = None
+    if moving:
+        metres = scale.markerless_scale(pelvis, other, space.rotation, at, settings["scale"]["least_s"])
     return Markerless(correlation, time_fit, space, clock, _pairs(pelvis, other, at), shared, metres)
 
 

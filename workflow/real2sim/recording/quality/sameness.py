@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,12 +18,14 @@ from scipy.spatial.transform import Rotation
 
 from real2sim import geometry, signals
 
+if TYPE_CHECKING:
+    from real2sim.settings import QualitySameSettings
+
 _RATE_HZ = 20.0  # of the stored path
 _BAND_HZ = 2.0  # of the stored path: no filter of a lab reaches down to here
 _EDGE_S = 0.75  # where the filter has only one side
 _UNIT_M = 1e-6  # of the stored path
-_LEAST = 40  # samples in common, two seconds
-_ALIKE = 0.9  # correlation of the speeds below which two paths are not laid on each other
+# numerical: how the difference is found, not what it means
 _CANDIDATES = 6  # maxima that are tried: gait repeats itself
 _HOPELESS = 200.0  # difference over noise at a whole sample that no fraction of a sample explains
 _KEPT = 0.98  # of the second differences: gaps and spikes are in the rest
@@ -31,7 +33,6 @@ _ROUNDS = 3  # of leaving out what does not fit
 _REACH = 2  # rows on either side of which a difference of order four is made
 _FITTED = 11  # place, turn, shift and the four differences
 _MEDIAN_CHI2 = 0.4549  # of one degree of freedom
-_NEAR_M = 0.004  # copies have the distances of their pelvis markers in common
 
 
 @dataclass(frozen=True)
@@ -105,24 +106,25 @@ def signature(positions: dict[str, np.ndarray], rate_hz: float, files: dict[str,
     return Signature(path - path.mean(axis=0), white * passed, shape, files)
 
 
-def difference(a: Signature, b: Signature) -> float:
+def difference(a: Signature, b: Signature, settings: QualitySameSettings) -> float:
     """Return the difference of two paths over that of two recordings of one motion [1].
 
     Copies, also of a part, shifted, filtered, rounded or in other axes, give less than 1: they share the noise. Two
     recordings give more than 1 whatever was done, as the noise of either is independent; they give infinity where the
-    speeds have too little in common to be laid on each other.
+    speeds have too little in common to be laid on each other. ``settings`` is the slice ``quality.same``.
     """
+    least = round(settings["least_s"] * _RATE_HZ)
     noise = max(a.noise_m, b.noise_m)
-    if min(len(a.path), len(b.path)) < _LEAST or not noise > 0:
+    if min(len(a.path), len(b.path)) < least or not noise > 0:
         return float("inf")
     ours, theirs = (np.linalg.norm(np.gradient(x.path, axis=0), axis=1) for x in (a, b))
-    lags = _lags(ours, theirs)
+    lags = _lags(ours, theirs, least, settings["least_correlation"])
     spline = CubicSpline(np.arange(_REACH, len(b.path) - _REACH), _with_differences(b.path))
     rows = np.arange(len(a.path))
 
     def apart(shift: float) -> float:
         inside = (rows - shift >= _REACH) & (rows - shift <= len(b.path) - 1 - _REACH)
-        if inside.sum() < _LEAST:
+        if inside.sum() < least:
             return float("inf")
         return _apart(a.path[inside], spline(rows[inside] - shift))
 
@@ -138,8 +140,11 @@ def difference(a: Signature, b: Signature) -> float:
     return out
 
 
-def _lags(x: np.ndarray, y: np.ndarray) -> list[int]:
-    """Lags [samples] of y (m,) in x (n,) at which Pearson's correlation over the overlap has a high maximum."""
+def _lags(x: np.ndarray, y: np.ndarray, least: int, correlation: float) -> list[int]:
+    """Lags [samples] of y (m,) in x (n,) at which Pearson's correlation over the overlap has a maximum.
+
+    It must reach ``correlation``, over at least ``least`` samples and half of the shorter path.
+    """
     n, m = len(x), len(y)
     lags = np.arange(n + m - 1) - (m - 1)
     count = np.minimum(n, m + lags) - np.maximum(0, lags)
@@ -150,8 +155,8 @@ def _lags(x: np.ndarray, y: np.ndarray) -> list[int]:
     product = fftconvolve(x, y[::-1]) - sum_x * sum_y / count
     floor = 1e-9 * np.sum(x * x) * np.sum(y * y)
     value = product / np.sqrt(np.maximum(power_x * power_y, floor))
-    value[count < max(min(n, m) // 2, _LEAST)] = -1.0
-    peaks, _ = find_peaks(np.concatenate([[-1.0], value, [-1.0]]), height=_ALIKE)
+    value[count < max(min(n, m) // 2, least)] = -1.0
+    peaks, _ = find_peaks(np.concatenate([[-1.0], value, [-1.0]]), height=correlation)
     order = np.argsort(value[peaks - 1])[::-1][:_CANDIDATES]
     return [int(lags[i]) for i in peaks[order] - 1]
 
@@ -192,24 +197,29 @@ def _apart(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def find_same(
-    signatures: Mapping[str, Signature], limit: float, pairs: Sequence[tuple[str, str]] | None = None
+    signatures: Mapping[str, Signature],
+    settings: QualitySameSettings,
+    pairs: Sequence[tuple[str, str]] | None = None,
 ) -> list[Same]:
     """Return the pairs of trials that are one recording, by name.
 
-    ``limit`` [1] is the difference below which two paths are one; ``pairs`` are those to compare, all if None.
+    ``settings`` is the slice ``quality.same``; ``pairs`` are those to compare, all if None.
     """
     out = []
     for first, second in pairs if pairs is not None else combinations(signatures, 2):
         a, b = signatures[first], signatures[second]
         twice = [kind for kind, digest in a.files.items() if b.files.get(kind) == digest]
-        ratio = 0.0 if "markers" in twice else difference(a, b)
-        if twice or ratio < limit:
+        ratio = 0.0 if "markers" in twice else difference(a, b, settings)
+        if twice or ratio < settings["least_difference"]:
             out.append(Same(first, second, ratio, twice[0] if twice else ""))
     return out
 
 
-def near(signatures: Mapping[str, Signature]) -> list[tuple[str, str]]:
-    """Return the pairs that can be one recording: a file in common, or pelvis markers as far from each other."""
+def near(signatures: Mapping[str, Signature], shape_m: float) -> list[tuple[str, str]]:
+    """Return the pairs that can be one recording: a file in common, or pelvis markers as far from each other.
+
+    Distances may differ by ``shape_m`` [m].
+    """
     names = list(signatures)
     pairs: set[tuple[str, str]] = set()
     seen: dict[str, list[str]] = {}
@@ -220,5 +230,5 @@ def near(signatures: Mapping[str, Signature]) -> list[tuple[str, str]]:
     known = [name for name in names if np.isfinite(signatures[name].shape).all()]
     if known:
         tree = cKDTree(np.array([signatures[name].shape for name in known]))
-        pairs.update((known[i], known[j]) for i, j in tree.query_pairs(_NEAR_M, p=np.inf))
+        pairs.update((known[i], known[j]) for i, j in tree.query_pairs(shape_m, p=np.inf))
     return sorted(pairs)

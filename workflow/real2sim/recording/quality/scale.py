@@ -16,7 +16,6 @@ from real2sim.recording.quality import clocks
 _BAND_HZ = 5.0  # a pelvis moves below; a markerless system's noise fills what lies above
 _GRID_HZ = 10.0  # samples that this band leaves independent
 _EDGE_S = 0.5  # where the filter has only one side
-_LEAST = 50  # samples of the regression
 
 
 @dataclass(frozen=True)
@@ -40,9 +39,13 @@ def robot_scale(fit: clocks.ClockFit | None) -> ScaleFit | None:
 
 
 def markerless_scale(
-    ours: alignment.PelvisPath, other: alignment.PelvisPath, ground: np.ndarray, offset_s: float
+    ours: alignment.PelvisPath,
+    other: alignment.PelvisPath,
+    ground: np.ndarray,
+    offset_s: float,
+    least_s: float,
 ) -> ScaleFit | None:
-    """Return the scale against the markerless pelvis; None where less than five seconds are in common.
+    """Return the scale against the markerless pelvis; None where less than ``least_s`` [s] are in common.
 
     The markerless position is regressed on ours and not the reverse: its noise is ten times as large, and noise in
     the regressor would attenuate the slope. Further regressors are a turn between the grounds, an error of the offset,
@@ -60,7 +63,7 @@ def markerless_scale(
     high = min(other.time_s[-1] + offset_s, ours.time_s[good][-1]) - _EDGE_S
     t = np.arange(low, high, 1 / _GRID_HZ)
     t = t[good[np.clip(np.searchsorted(ours.time_s, t), 0, len(good) - 1)]]
-    if len(t) < _LEAST:
+    if len(t) < least_s * _GRID_HZ:
         return None
     p, r, speed = _smooth_at(ours, good, t)
     smooth = signals.lowpass(other.position, _rate(other.time_s), _BAND_HZ, 4)

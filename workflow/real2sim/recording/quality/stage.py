@@ -263,7 +263,7 @@ def note_copies(
     measured: Mapping[str, Measured], signatures: Mapping[str, sameness.Signature], settings: QualitySettings
 ) -> None:
     """Note, in both of ``measured``, trials of one person that are the same recording."""
-    for same in sameness.find_same(signatures, settings["same"]["least_difference"]):
+    for same in sameness.find_same(signatures, settings["same"]):
         for name in (same.first, same.second):
             measured[name].identity.same.append(same)
 
@@ -333,8 +333,9 @@ def _same_across_people(people: list[dict[str, Any]], settings: QualitySettings)
         for trial, about in content["trials"].items()
         if about.get("signature") is not None
     }
-    pairs = [(a, b) for a, b in sameness.near(signatures) if a.partition("/")[0] != b.partition("/")[0]]
-    found = sameness.find_same(signatures, settings["same"]["least_difference"], pairs)
+    close = sameness.near(signatures, settings["same"]["shape_m"])
+    pairs = [(a, b) for a, b in close if a.partition("/")[0] != b.partition("/")[0]]
+    found = sameness.find_same(signatures, settings["same"], pairs)
     accepted = set(settings["override"])
     wrong = [f"{s.first} and {s.second}" for s in found if not {s.first, s.second} & accepted]
     if wrong:

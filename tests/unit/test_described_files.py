@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,20 +30,21 @@ ARM = """<mujoco><worldbody><body name="carriage">
   <joint name="arm_lift" type="slide"/><joint name="arm_roll" type="hinge"/>
 </body></worldbody></mujoco>"""
 
+CONTENT = {
+    "name": "arm",
+    "model": "arm.xml",
+    "machine": {LIFT: {}, ROLL: {}},
+    "interface": {"axes": {"x": {"joint": LIFT}}},
+    "drive": {"by": "path", "of": {LIFT: "arm_lift_m"}},
+    "parameters": {"k": {"unit": "N/m", "bounds": [1, 2], "sets": "stiffness", "of": "x"}},
+}
+
 
 @pytest.fixture
 def system(tmp_path):
     """Two logged joints, one of which is driven along its path."""
     (tmp_path / "arm.xml").write_text(ARM)
-    content = {
-        "name": "arm",
-        "model": "arm.xml",
-        "machine": {LIFT: {}, ROLL: {}},
-        "interface": {"axes": {"x": {"joint": LIFT}}},
-        "drive": {"by": "path", "of": {LIFT: "arm_lift_m"}},
-        "parameters": {"k": {"unit": "N/m", "bounds": [1, 2], "sets": "stiffness", "of": "x"}},
-    }
-    return r2s.System.from_dict(content, tmp_path / "system.yaml")
+    return r2s.System.from_dict(CONTENT, tmp_path / "system.yaml")
 
 
 def motion(joint, t):
@@ -226,6 +228,23 @@ def test_parts_of_a_model_that_is_no_sound_xml_are_found(tmp_path, head):
         load_robot(path)
     path.write_text(f"{head}<mujoco><include file='part.xml'/><!-- <include file='old.xml'/> --></mujoco>")
     assert [p.name for p in model_files(path)] == ["robot.xml", "part.xml"]
+
+
+@pytest.mark.parametrize(
+    "text", ["x" * 200_000, "<!--" * 50_000, "<" + "a" * 200_000, '<a b="' + "c" * 200_000]
+)
+def test_what_is_no_xml_is_looked_through_quickly(tmp_path, text):
+    (tmp_path / "robot.xml").write_text(f"<mujoco {text}>")
+    start = time.process_time()
+    assert len(model_files(tmp_path / "robot.xml")) == 1
+    assert time.process_time() - start < 1
+
+
+@pytest.mark.parametrize("name", ["a\0.xml", "a\ud800.xml"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path, system, name):
+    with pytest.raises(InputError) as caught:
+        r2s.System.from_dict({**CONTENT, "model": name}, tmp_path / "system.yaml")
+    assert (caught.value.code, caught.value.place) == ("value", "model")
 
 
 @pytest.mark.parametrize(

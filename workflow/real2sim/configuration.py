@@ -128,6 +128,25 @@ def _check_finite(value: Any, schema: dict[str, Any], source: Path) -> None:
         )
 
 
+def _no_text(value: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the place of each text with a null byte or half a character, which no path and no table can hold."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _no_text(key, (*place, "a key"))
+            yield from _no_text(inner, (*place, str(key)))
+    elif isinstance(value, list | tuple):
+        for i, inner in enumerate(value):
+            yield from _no_text(inner, (*place, str(i)))
+    elif isinstance(value, str) and ("\0" in value or any("\ud800" <= c <= "\udfff" for c in value)):
+        yield ".".join(place) or "top level"
+
+
+def _check_texts(value: Any, source: Path) -> None:
+    for place in _no_text(value):
+        found, expected = "a null byte or half a character", "text"
+        raise InputError(source, ascii(place)[1:-1], found, expected, "Write the text anew.", "value")
+
+
 def _check_low_pass(content: dict[str, Any], source: Path) -> None:
     """Refuse a low-pass that the common clock cannot hold: at half its rate and above nothing is filtered."""
     cutoff, rate = content["ingest"]["cutoff_hz"], content["ingest"]["rate_hz"]
@@ -154,6 +173,7 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     if errors:
         raise _explain(errors[0], schema, source)
     _check_finite(filled, schema, source)
+    _check_texts(filled, source)
     if schema_name == "config":
         _check_low_pass(filled, source)
     return filled

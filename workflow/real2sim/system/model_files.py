@@ -9,9 +9,8 @@ from pathlib import Path
 
 # Attributes of the elements below <asset> that name a file, and the attribute of <compiler> with their folder
 _FOLDERS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_TAG = re.compile(r"<(\w+)([^<>]*)>")
-_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+_TAG = re.compile(r"<(\w++)([^<>]*+)>")
+_ATTRIBUTE = re.compile(r"(?<!\w)(\w++)\s*+=\s*+(?:\"([^\"]*)\"|'([^']*)')")
 _SIDES = ("right", "left", "up", "down", "front", "back")
 
 
@@ -114,7 +113,8 @@ def _by_tags(part: Path) -> ET.Element:
     MuJoCo reads some of them all the same: those with -- in a comment, or with a wrong encoding in their first line.
     """
     root = ET.Element("mujoco")
-    text = _COMMENT.sub("", part.read_bytes().decode(errors="replace"))
+    pieces = part.read_bytes().decode(errors="replace").split("<!--")
+    text = "".join([pieces[0], *(piece.partition("-->")[2] for piece in pieces[1:])])
     for tag, attributes in _TAG.findall(text):
         values = {name: double or single for name, double, single in _ATTRIBUTE.findall(attributes)}
         ET.SubElement(root, tag, values)

@@ -201,10 +201,8 @@ def robot_clock(
     for iteration in range(2 * _ITERATIONS if scaled else _ITERATIONS):
         own = np.clip(t - offset_s - drift * (t - middle), arm.start_s, arm.end_s)
         residual, jacobian = _robot_system(arm, own, t - middle, points, geometry)
-        # the first rounds settle the geometry, or a wrong mount would look like time
-        columns = np.arange(0 if iteration > 1 else 2, 18 if scaled and iteration > 1 else 17)
         settled = not scaled or iteration > _ITERATIONS // 2  # while walking, a drift looks like a scale
-        columns = columns if settled else columns[columns != 1]
+        columns = _free_unknowns(iteration, scaled, settled)
         step = np.zeros(18)
         step[columns], variance = solve(jacobian[:, columns], residual, np.repeat(cluster, 6))
         offset_s += float(np.clip(step[0], -0.1, 0.1))
@@ -232,6 +230,13 @@ def robot_clock(
         mean_squares(t, residual.reshape(-1, 6)),
         *joints,
     )
+
+
+def _free_unknowns(iteration: int, scaled: bool, settled: bool) -> np.ndarray:
+    """Return which of the unknowns of `robot_clock` move in an iteration: without drift until it has settled."""
+    # the first rounds settle the geometry, or a wrong mount would look like time
+    columns = np.arange(0 if iteration > 1 else 2, 18 if scaled and iteration > 1 else 17)
+    return columns if settled else columns[columns != 1]
 
 
 def _joint_delay(

@@ -14,7 +14,17 @@ from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Trials
-from real2sim.effects.families import Range, Variable, families, polynomial, product, relaxed, stopped
+from real2sim.effects.families import (
+    PLACE,
+    POSTURE,
+    Range,
+    Variable,
+    families,
+    polynomial,
+    product,
+    relaxed,
+    stopped,
+)
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
 from real2sim.verification.systems import one_axis
@@ -38,7 +48,7 @@ def test_polynomials_go_on_straight_beyond_the_range_that_was_visited(order):
 
 
 def test_products_keep_their_value_beyond_the_range():
-    values = product(("q_ty", 3))(_variable([1.0, 2.0, 9.0]), RANGES, 0.01)
+    values = product({"q_ty": 3})(_variable([1.0, 2.0, 9.0]), RANGES, 0.01)
     np.testing.assert_allclose(values, 1.0)
 
 
@@ -46,6 +56,27 @@ def test_a_relaxation_forgets_and_a_slip_does_not():
     path = np.concatenate([np.zeros(10), np.ones(990)])
     assert relaxed("q_ty", 0.5)(_variable(path), RANGES, 0.01)[-1] == pytest.approx(0, abs=1e-6)
     assert stopped("q_ty", 0.2)(_variable(path), RANGES, 0.01)[-1] == pytest.approx(1)
+
+
+def test_terms_of_one_name_are_one_function():
+    """What a term makes of a trial is kept by its name: a name without its variable took the first axis for all."""
+    system = shipped_system("strap")
+    places = ["place_x", "place_y", "heading", *POSTURE]
+    names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
+    names += [*places, *(f"rate of {name}" for name in PLACE), "time"]
+    rng = np.random.default_rng(3)
+    of = {n: Variable(n, "m", 0.1, rng.standard_normal(50)) for n in names}
+    wide = {n: Range(-2.0, 2.0) for n in names}
+    joints = [*(axis.joint for axis in system.axes), "base_x", "base_y", "base_yaw"]
+    ones = dict.fromkeys(joints, 1.0)
+    values = {}
+    terms = [t for f in families(system, names, ones, ones) for row in f.terms for t in row]
+    assert len(terms) > 1000
+    for term in terms:
+        force = term.basis(of, wide, 0.01)
+        np.testing.assert_array_equal(values.setdefault(term.name, force), force, term.name)
+    functions = {force.tobytes() for force in values.values()}
+    assert len(functions) == len(values)
 
 
 def test_both_forces_of_an_elastic_coupling_derive_from_one_potential():
@@ -112,10 +143,17 @@ def test_a_cubic_spring_is_measured_without_its_name(stiff):
     assert cubic["unit"] == "N per m^3"
 
 
+def test_a_coefficient_may_drive_one_of_several_joints(stiff):
+    """As those of a force that repeats along the way of a base: two along x, two along y."""
+    pair, _, _ = stiff
+    library, context = Library(pair, FREE["band_share"]), pair.train.context
+    assert library.signals([], context).sum(axis=0).shape == context.time_s.shape
+
+
 def test_the_scale_of_the_prior_is_small_where_there_is_nothing_to_explain(stiff):
     pair, _, plain = stiff
     library = Library(pair, FREE["band_share"])
-    known = slopes(pair, library, Hypothesis((), plain.base, plain.chi2), library.columns)
+    known = slopes(pair, library, Hypothesis((), plain.base, plain.chi2))
     rng = np.random.default_rng(1)
     quiet = replace(known, residuals=rng.standard_normal(len(known.residuals)))
     found = screen(quiet, library, plain, SEARCH["longest_step"])

@@ -24,6 +24,7 @@ from real2sim.effects.chains import Context
 from real2sim.effects.displacements import Displacement, displacements
 from real2sim.effects.families import Family, Range, Term, Variable
 from real2sim.effects.planned import PlannedForce
+from real2sim.inference.least_squares import bounded_step
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisFreeFormSettings, DiagnosisSearchSettings
@@ -44,22 +45,24 @@ class Library:
     def __init__(self, pair: Pair, band_share: float):
         system, scales = pair.system, pair.train.scales
         self.system, self._scales, self._band = system, scales, band_share * system.band_hz
-        self._known: dict[int, tuple[dict[str, Variable], dict[str, np.ndarray]]] = {}
+        self._known: dict[int, tuple[np.ndarray, dict[str, Variable], dict[str, np.ndarray]]] = {}
         own = self.variables(pair.train.context)
         self.template = own
         self.ranges = {n: Range(float(v.values.min()), float(v.values.max())) for n, v in own.items()}
         self.force = {axis.joint: float(scales.force[i]) for i, axis in enumerate(system.axes)}
         q = {axis.joint: float(scales.q[i]) for i, axis in enumerate(system.axes)}
-        for joint, _ in families.DRIVEN:
-            if joint in system.machine_joints:
-                turns = joint == "base_yaw"
-                alike = [self.force[a.joint] for a in system.axes if a.rotational == turns]
-                self.force[joint] = float(np.mean(alike)) if alike else 1.0
-        self.forces = families.families(system, list(own), self.force, q)
+        for joint in families.moved_joints(system):
+            # the base feels what the interface's translations (turns) do
+            alike = [self.force[a.joint] for a in system.axes if a.rotational == self.is_turn(joint)]
+            self.force[joint] = float(np.mean(alike)) if alike else 1.0
         # markers on a bar, and an interface whose rotation they show
         pose = {"pose", "bar", "base"} <= system.offers
-        self.displacements = displacements() if pose else []
-        terms = {(t.joint, t.name): t for f in self.forces for row in f.terms for t in row}
+        self._take(families.families(system, list(own), self.force, q), displacements() if pose else [])
+
+    def _take(self, forces: Sequence[Family], moved: Sequence[Displacement]) -> None:
+        """Hold these families, and their basis functions, each once per joint."""
+        self.forces, self.displacements = list(forces), list(moved)
+        terms = {(t.joint, t.name): t for f in forces for row in f.terms for t in row}
         self.columns = list(terms.values())
         self.index = {key: i for i, key in enumerate(terms)}
 
@@ -68,11 +71,13 @@ class Library:
         return self._of(context)[0]
 
     def _of(self, context: Context) -> tuple[dict[str, Variable], dict[str, np.ndarray]]:
-        key = id(context.coordinates)
-        if key not in self._known:
+        """Variables of a trial, and what has been made of them by the name of the term."""
+        path = context.coordinates
+        if id(path) not in self._known:
             made = families.variables(context, self.system, self._scales.q, self._scales.v, self._band)
-            self._known[key] = made, {}
-        return self._known[key]
+            # the path is held too, or another one could take its place in memory
+            self._known[id(path)] = path, made, {}
+        return self._known[id(path)][1:]
 
     def signals(self, terms: Iterable[Term], context: Context) -> np.ndarray:
         """Return forces (p, n) of basis functions at the samples, in units of their joint's large force."""
@@ -83,7 +88,7 @@ class Library:
             if term.name not in made:
                 made[term.name] = term.basis(own, self.ranges, step_s)
             out.append(made[term.name] * term.factor)
-        return np.array(out)
+        return np.array(out).reshape(len(out), len(context.time_s))
 
     def placed(self, family: AnyFamily, scale: float) -> Placed:
         """Return a family with a prior scale as an effect at its place."""
@@ -125,9 +130,9 @@ class Library:
         )
 
     def is_turn(self, joint: str) -> bool:
-        """Whether a joint turns."""
+        """Return whether a joint is a hinge."""
         by_axis = {axis.joint: axis.rotational for axis in self.system.axes}
-        return by_axis.get(joint, joint == "base_yaw")
+        return by_axis[joint] if joint in by_axis else families.moved_joints(self.system)[joint] == "rad"
 
     def unit_of(self, term: Term) -> tuple[float, str]:
         """Return the SI value and unit of one unit of a term's coefficient."""
@@ -135,15 +140,14 @@ class Library:
         for name, exponent in term.powers:
             variable = self.template[name]
             scale /= variable.scale**exponent
-            unit += f" per {variable.unit}" + (f"^{exponent:g}" if exponent != 1 else "")
+            per = f"({variable.unit})" if "/" in variable.unit and exponent != 1 else variable.unit
+            unit += f" per {per}" + (f"^{exponent}" if exponent != 1 else "")
         return scale * term.factor, unit
 
     def only(self, forces: Sequence[Family]) -> Library:
         """Return the same library with some of its families of forces and no displacements."""
         out = copy(self)
-        terms = {(t.joint, t.name): t for f in forces for row in f.terms for t in row}
-        out.forces, out.displacements = list(forces), []
-        out.columns, out.index = list(terms.values()), {key: i for i, key in enumerate(terms)}
+        out._take(forces, [])
         return out
 
     def columns_effect(self, terms: Sequence[Term]) -> Placed:
@@ -167,9 +171,9 @@ class Slopes:
     displaced: dict[str, np.ndarray]
 
 
-def slopes(pair: Pair, library: Library, base: Hypothesis, terms: Sequence[Term]) -> Slopes:
+def slopes(pair: Pair, library: Library, base: Hypothesis) -> Slopes:
     """Return the slopes of both trials at a hypothesis by basis functions and displacements."""
-    parts = [_slopes_of(e, library, base, terms) for e in (pair.train, pair.held_out)]
+    parts = [_slopes_of(e, library, base) for e in (pair.train, pair.held_out)]
     (r, jac, columns, moved), (r_h, jac_h, columns_h, moved_h) = parts
     n, m = pair.train.samples, pair.held_out.samples
     priors = len(r) - n
@@ -187,7 +191,7 @@ def slopes(pair: Pair, library: Library, base: Hypothesis, terms: Sequence[Term]
 
 
 def _slopes_of(
-    evidence: Evidence, library: Library, base: Hypothesis, terms: Sequence[Term]
+    evidence: Evidence, library: Library, base: Hypothesis
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     problem = JointResiduals(evidence, base.effects, library.system, coarse=True)
     r, jac = problem.with_jacobian(base.z, np.arange(len(base.z)))
@@ -200,6 +204,7 @@ def _slopes_of(
         there = np.concatenate([r, np.zeros(own)])
         return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[:n]
 
+    terms = library.columns
     columns = [by(library.columns_effect(terms[i : i + _CHUNK])) for i in range(0, len(terms), _CHUNK)]
     moved = {d.name: by(library.placed(d, 1.0)) for d in library.displacements}
     return r, jac, np.hstack(columns) if columns else np.zeros((n, 0)), moved
@@ -219,31 +224,6 @@ class Screened:
     step: np.ndarray
 
 
-@dataclass(frozen=True)
-class _Normal:
-    """Normal equations of a least-squares problem: ``a`` (n, n), ``b`` (n,), bounds of the step, residual square."""
-
-    a: np.ndarray
-    b: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    square: float
-
-    def solve(self) -> tuple[np.ndarray, float]:
-        """Return the step inside the bounds and what it leaves."""
-        step, free = np.zeros(len(self.b)), np.ones(len(self.b), bool)
-        for _ in range(4):
-            part = np.ix_(free, free)
-            right = self.b[free] + self.a[np.ix_(free, ~free)] @ step[~free]
-            step[free] = -np.linalg.solve(self.a[part], right)
-            outside = free & ((step < self.lower) | (step > self.upper))
-            step = np.clip(step, self.lower, self.upper)
-            if not outside.any():
-                break
-            free &= ~outside
-        return step, float(self.square + 2 * self.b @ step + step @ self.a @ step)
-
-
 def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) -> list[Screened]:
     """Return every family by its gain in ln evidence on both trials, best first."""
     lower, upper = _room(library, base, longest)
@@ -252,32 +232,35 @@ def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) ->
     out = []
     everything: list[AnyFamily] = [*library.forces, *library.displacements]
     for family in everything:
-        columns, weights = columns_of(family, known, library)
-        if columns is None:
-            continue
+        columns, weights = _columns_of(family, known, library)
         scale, gain = whole.best_scale(columns, weights)
         step, coefficients = fitted.solve(columns, scale * weights)
         out.append(Screened(family, scale, gain, coefficients, step))
     return sorted(out, key=lambda s: -s.gain)
 
 
-def columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.ndarray | None, np.ndarray]:
-    """Return the slopes (r, p) by a family's coefficients, None where they were not asked for, and its weights."""
+def _columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes (r, p) by a family's coefficients, and the weights (p,) of their prior."""
     if isinstance(family, Displacement):
-        return known.displaced.get(family.name), np.array(family.weights)
-    try:
-        rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
-    except KeyError:
-        return None, np.empty(0)
+        return known.displaced[family.name], np.array(family.weights)
+    rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
     columns = np.stack([known.columns[:, row].sum(axis=1) for row in rows], axis=1)
     return columns, np.array([row[0].weight for row in family.terms])
 
 
 def _room(library: Library, base: Hypothesis, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """How far the base may move: to its bounds, and not further than the tangent is believed."""
+    """Room of the base's parameters: to their bounds, and not further than the tangent is believed."""
     limits = [library.system.bounds(), *(placed.bounds() for placed in base.effects)]
     lower, upper = (np.concatenate(ends) for ends in zip(*limits, strict=True))
     return np.maximum(lower - base.z, -longest), np.minimum(upper - base.z, longest)
+
+
+def _solved(
+    a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, square: float
+) -> tuple[np.ndarray, float]:
+    """Return the step inside the bounds of normal equations ``a`` (n, n), ``b`` (n,), and the square that it leaves."""
+    step = bounded_step(a, b, lower, upper)
+    return step, float(square + 2 * b @ step + step @ a @ step)
 
 
 class _Equations:
@@ -290,32 +273,37 @@ class _Equations:
         self._a[np.diag_indices_from(self._a)] += 1e-9
         self._b = self._base.T @ self._r
         self._square = float(self._r @ self._r)
-        self._alone = _Normal(self._a, self._b, lower, upper, self._square).solve()[1]
+        self._alone = _solved(self._a, self._b, lower, upper, self._square)[1]
         self._log_det = float(np.linalg.slogdet(self._a)[1])
 
-    def _normal(self, columns: np.ndarray, sd: np.ndarray) -> _Normal:
+    def _with(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return normal matrix and slope of base and family, without a prior of the coefficients."""
         f = columns[self._rows]
-        a = np.block([[self._a, self._base.T @ f], [f.T @ self._base, f.T @ f + np.diag(1 / sd**2)]])
-        far = np.full(len(sd), np.inf)
+        across = self._base.T @ f
+        a = np.block([[self._a, across], [across.T, f.T @ f]])
+        return a, np.concatenate([self._b, f.T @ self._r])
+
+    def _held(self, a: np.ndarray, b: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return normal matrix, step and what is left with coefficients of prior ``sd`` (p,)."""
+        n, far = len(self._lower), np.full(len(sd), np.inf)
+        held = a.copy()
+        held[range(n, len(a)), range(n, len(a))] += 1 / sd**2
         lower, upper = np.concatenate([self._lower, -far]), np.concatenate([self._upper, far])
-        return _Normal(a, np.concatenate([self._b, f.T @ self._r]), lower, upper, self._square)
+        return held, *_solved(held, b, lower, upper, self._square)
 
     def solve(self, columns: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the step of the base (n,) and the coefficients (p,)."""
-        step, _ = self._normal(columns, sd).solve()
+        _, step, _ = self._held(*self._with(columns), sd)
         n = len(self._lower)
         return step[:n], step[n:]
 
     def best_scale(self, columns: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
         """Return the prior scale of the largest evidence, and the gain in ln evidence over the base alone."""
-        plain, best = self._normal(columns, np.full(len(weights), np.inf)), (float(_SCALES[0]), -np.inf)
-        n = len(self._lower)
+        normal, best = self._with(columns), (float(_SCALES[0]), -np.inf)
         for scale in _SCALES:
             sd = scale * weights
-            a = plain.a.copy()
-            a[range(n, len(a)), range(n, len(a))] += 1 / sd**2
-            _, left = _Normal(a, plain.b, plain.lower, plain.upper, self._square).solve()
-            occam = np.linalg.slogdet(a)[1] - self._log_det + 2 * np.sum(np.log(sd))
+            held, _, left = self._held(*normal, sd)
+            occam = np.linalg.slogdet(held)[1] - self._log_det + 2 * np.sum(np.log(sd))
             gain = 0.5 * (self._alone - left - occam)
             if gain > best[1]:
                 best = float(scale), float(gain)
@@ -348,7 +336,7 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     a[np.diag_indices_from(a)] += 1e-9
     lower = np.maximum(train.lower - z, -longest)
     upper = np.minimum(train.upper - z, longest)
-    _, left = _Normal(a, jac.T @ r, lower, upper, float(r @ r)).solve()
+    _, left = _solved(a, jac.T @ r, lower, upper, float(r @ r))
     n = len(hypothesis.base)
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
@@ -436,7 +424,7 @@ def measure(
     library = Library(pair, options["band_share"])
     base = Hypothesis((), start, (np.nan, np.nan))
     progress(f"no name fits: {len(library.forces) + len(library.displacements)} families are screened")
-    known = slopes(pair, library, base, library.columns)
+    known = slopes(pair, library, base)
     screened = screen(known, library, base, longest)
     trial = _Trial(pair, library, search, ln_evidence(pair, plain, longest), longest, progress)
     laws = [trial.refitted((), s, base) for s in _diverse(screened, options["refits"])]
@@ -474,7 +462,7 @@ def _grown(
             break
         promising = [s.family for s in screened[: options["promising"]] if isinstance(s.family, Family)]
         library = trial.library.only([f for f in promising if f not in best.families])
-        known = slopes(trial.pair, library, best.hypothesis, library.columns)
+        known = slopes(trial.pair, library, best.hypothesis)
         further = screen(known, library, best.hypothesis, trial.longest)
         tried = [
             trial.refitted(best.families, s, best.hypothesis) for s in _diverse(further, options["most"])

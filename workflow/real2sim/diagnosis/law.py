@@ -14,12 +14,12 @@ import numpy as np
 from real2sim.diagnosis.free_form import AnyFamily, Law, Library
 from real2sim.diagnosis.intervals import covariance_of
 from real2sim.diagnosis.search import Pair
-from real2sim.effects.families import Family, Term, Variable, power
+from real2sim.effects.families import Family, Term, Variable, times
 
 # Points of a curve over the visited range
 _POINTS = 41
 # Powers of one variable that an equation is written in, and how many of them at most
-_POWERS = (1.0, 2.0, 3.0, 4.0, 5.0)
+_POWERS = (1, 2, 3, 4, 5)
 _MOST_TERMS = 3
 # What an equation has to hold of the law's mean square [1]
 _ENOUGH = 0.95
@@ -95,7 +95,9 @@ def _equation(pair: Pair, fitted: _Fitted, library: Library) -> list[dict[str, A
         terms = _readable(family, joint)
         signals = library.signals(terms, context)
         chosen, share = _fewest(signals, fitted.coefficients @ force)
-        fit = np.linalg.lstsq(signals[chosen].T, force.T, rcond=None)[0]
+        # beside a constant, which is a preload and no part of the equation
+        with_constant = np.column_stack([signals[chosen].T, np.ones(signals.shape[1])])
+        fit = np.linalg.lstsq(with_constant, force.T, rcond=None)[0][:-1]
         values = fit @ fitted.coefficients
         sd = np.sqrt(np.einsum("ij,jk,ik->i", fit, fitted.covariance, fit))
         for i, value, spread in zip(chosen, values, sd, strict=True):
@@ -118,7 +120,7 @@ def _readable(family: Family, joint: str) -> list[Term]:
     """Return powers of the variable where a family depends on one coordinate; its own basis functions elsewhere."""
     own = [t for row in family.terms for t in row if t.joint == joint]
     if len(family.depends_on) == 1 and any(t.name.startswith("P") for t in own):
-        return [power(family.depends_on[0], joint, k) for k in _POWERS]
+        return [times(joint, {family.depends_on[0]: k}) for k in _POWERS]
     return own
 
 

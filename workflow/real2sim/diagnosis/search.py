@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.effects.catalogue import Placed
-from real2sim.inference.least_squares import Tangent
+from real2sim.inference.least_squares import Tangent, bounded_step
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -377,15 +377,6 @@ def _bounded_step(
     normal[np.diag_indices_from(normal)] += 1e-9
     lower = np.maximum(lower - z, -longest)
     upper = np.minimum(upper - z, longest)
-    free, step = np.ones(len(z), bool), np.zeros(len(z))
-    # what meets a bound stays there and is made good by the others
-    for _ in range(4):
-        part = np.ix_(free, free)
-        step[free] = -np.linalg.solve(normal[part], slope[free] + normal[np.ix_(free, ~free)] @ step[~free])
-        outside = free & ((step < lower) | (step > upper))
-        step = np.clip(step, lower, upper)
-        if not outside.any():
-            break
-        free &= ~outside
+    step = bounded_step(normal, slope, lower, upper)
     cost = float(r @ r + 2 * slope @ step + step @ normal @ step)
     return step, cost

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -35,8 +36,8 @@ class Displacement:
     weights: tuple[float, ...]
     chains: Chains
 
-    kind = "measurement"
-    axes: tuple[str, ...] = ()
+    kind: ClassVar = "measurement"
+    axes: ClassVar[tuple[str, ...]] = ()
 
     @property
     def key(self) -> str:

@@ -135,7 +135,6 @@ def _places(context: Context, rate: float) -> dict[str, np.ndarray]:
 
 # -------------------- basis functions
 
-Signals = Mapping[str, np.ndarray]
 Basis = Callable[[Mapping[str, Variable], Mapping[str, Range], float], np.ndarray]
 
 
@@ -157,14 +156,12 @@ def step(name: str, sharpness: float) -> Basis:
     return lambda of, ranges, step_s: np.tanh(of[name].values / sharpness)
 
 
-def product(*powers: tuple[str, float]) -> Basis:
-    """Return a product of powers of variables, each kept at the edge of its range; a power of 0.5 is the size."""
+def product(powers: Mapping[str, int], sizes: Sequence[str] = ()) -> Basis:
+    """Return a product of powers and absolute values (``sizes``) of variables, each kept at the edge of its range."""
 
     def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
-        parts = []
-        for name, exponent in powers:
-            x = ranges[name].clip(of[name].values)
-            parts.append(np.abs(x) if exponent == 0.5 else x**exponent)
+        parts = [ranges[name].clip(of[name].values) ** exponent for name, exponent in powers.items()]
+        parts += [np.abs(ranges[name].clip(of[name].values)) for name in sizes]
         return np.asarray(np.prod(parts, axis=0))
 
     return basis
@@ -207,16 +204,6 @@ def wave_of(name: str, length: float, shift: float) -> Basis:
     return basis
 
 
-def hat(index: int, count: int) -> Basis:
-    """Return a triangle about one of ``count`` evenly spaced times of a trial."""
-
-    def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
-        n = len(of["time"].values)
-        return np.asarray(np.maximum(1 - np.abs(np.linspace(0, count - 1, n) - index), 0.0))
-
-    return basis
-
-
 # -------------------- families
 
 
@@ -224,8 +211,9 @@ def hat(index: int, count: int) -> Basis:
 class Term:
     """One basis function on one joint: force per unit of the joint's large force [1].
 
+    The ``name`` says function and variables: terms of one name are one function of time, whatever joint they drive.
     ``weight`` is the prior SD of its coefficient beside the others of the family: rough functions are rarer.
-    ``powers`` are those of the variables where the term is their product: they give the coefficient's unit.
+    ``powers`` are those of the variables where the force grows with them: they give the coefficient's unit.
     """
 
     name: str
@@ -233,7 +221,7 @@ class Term:
     basis: Basis
     weight: float = 1.0
     factor: float = 1.0
-    powers: tuple[tuple[str, float], ...] = ()
+    powers: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -285,6 +273,11 @@ def families(
     return [*out, *_periodic([(j, n) for j, n in moved if n != "heading"])]
 
 
+def moved_joints(system: System) -> dict[str, str]:
+    """Return the units [m or rad] of the joints of a base by name, none for a machine without one."""
+    return {joint: _UNITS[place][0] for joint, place in DRIVEN if joint in system.machine_joints}
+
+
 def _periodic(moved: Sequence[tuple[str, str]]) -> Iterator[Family]:
     """Families of forces that repeat along the way of the base, as wheels do, at one length each."""
     if not moved:
@@ -306,19 +299,16 @@ def _periodic(moved: Sequence[tuple[str, str]]) -> Iterator[Family]:
         )
 
 
-def external(joint: str, count: int, stage: str, of_trial: str) -> Family:
-    """Return a force history of its own on a joint: a hat every so many of ``count`` parts of a trial.
-
-    It says nothing of another trial: its coefficients belong to ``of_trial`` alone.
-    """
-    hats = [Term(f"{of_trial} hat {i} of {count}", joint, hat(i, count)) for i in range(count)]
-    return Family("external", stage, "external force", (joint,), ("time",), _one(hats))
-
-
-def power(name: str, joint: str, exponent: float) -> Term:
-    """Return a power of one variable on a joint."""
-    label = name if exponent == 1 else f"{name}^{exponent:g}"
-    return Term(label, joint, product((name, exponent)), powers=((name, exponent),))
+def times(
+    joint: str, powers: Mapping[str, int], sizes: Sequence[str] = (), weight: float = 1.0, factor: float = 1.0
+) -> Term:
+    """Return a product of powers of variables and of ``sizes`` (absolute values) on a joint."""
+    label = [name if k == 1 else f"{name}^{k}" for name, k in powers.items() if k]
+    label += [f"|{name}|" for name in sizes]
+    total = {name: k for name, k in powers.items() if k}
+    for name in sizes:
+        total[name] = total.get(name, 0) + 1
+    return Term(" ".join(label), joint, product(powers, sizes), weight, factor, tuple(total.items()))
 
 
 def _one(terms: Sequence[Term]) -> tuple[tuple[Term, ...], ...]:
@@ -328,35 +318,37 @@ def _one(terms: Sequence[Term]) -> tuple[tuple[Term, ...], ...]:
 def _own(axis: str, joint: str) -> Iterator[Family]:
     """Families of an axis' own coordinate and rate."""
     q, v = f"q_{axis}", f"v_{axis}"
-    elastic = [Term(f"P{k}({q})", joint, polynomial(q, k), 1 / max(k - 1, 1)) for k in (0, 2, 3, 4, 5, 6, 8)]
+    elastic = [_legendre(q, joint, k, 1 / max(k - 1, 1)) for k in (0, 2, 3, 4, 5, 6, 8)]
     yield Family("elastic", "interface", "elastic", (axis,), (q,), _one(elastic))
-    lossy = [Term(f"tanh({v}/{s:g})", joint, step(v, s)) for s in SHARPNESS]
-    lossy += [
-        Term(f"|{v}|{v}", joint, product((v, 1), (v, 0.5))),
-        Term(f"{v}^3", joint, product((v, 3)), 0.5),
-    ]
+    lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), times(joint, {v: 3}, weight=0.5)]
     yield Family("dissipative", "interface", "dissipative", (axis,), (v,), _one(lossy))
-    both = [Term(f"{q}^{i} {v}", joint, product((q, i), (v, 1)), 1 / i) for i in (1, 2, 3, 4)]
-    both += [Term(f"{q} |{v}|", joint, product((q, 1), (v, 0.5)), 0.5)]
+    both = [times(joint, {q: i, v: 1}, weight=1 / i) for i in (1, 2, 3, 4)]
+    both += [times(joint, {q: 1}, [v], 0.5)]
     yield Family("damping by coordinate", "interface", "damping by coordinate", (axis,), (q, v), _one(both))
     yield from _with_history("interface", axis, joint, q)
 
 
+def _legendre(name: str, joint: str, order: int, weight: float) -> Term:
+    label = f"P{order}({name})" if order else "constant"
+    return Term(label, joint, polynomial(name, order), weight)
+
+
+def _steps(v: str, joint: str) -> list[Term]:
+    """Return rounded signs of a rate, from sharp to round."""
+    return [Term(f"tanh({v} / {s:g} of a large one)", joint, step(v, s)) for s in SHARPNESS]
+
+
 def _with_history(stage: str, axis: str, joint: str, q: str) -> Iterator[Family]:
     """Families of what a coordinate was before, and of time."""
-    slow = [Term(f"relaxation {t:g} s", joint, relaxed(q, t)) for t in TIMES_S]
+    slow = [Term(f"{q} relaxing in {t:g} s", joint, relaxed(q, t), powers=((q, 1),)) for t in TIMES_S]
     yield Family("memory", stage, "memory", (axis,), (f"history of {q}",), _one(slow))
-    play = [Term(f"slip {w:g}", joint, stopped(q, w)) for w in WIDTHS]
+    play = [Term(f"{q} slipping at {w:g} of half its range", joint, stopped(q, w)) for w in WIDTHS]
     yield Family("hysteresis", stage, "hysteresis", (axis,), (f"history of {q}",), _one(play))
-    drift = [Term(f"time^{k}", joint, product(("time", k)), 1 / k) for k in (1, 2, 3, 4)]
+    drift = [times(joint, {"time": k}, weight=1 / k) for k in (1, 2, 3, 4)]
     yield Family("drift", stage, "slow change", (axis,), ("time",), _one(drift))
     if stage == "interface":
         v = f"v_{axis}"
-        gain = [
-            Term(f"time^{k} {x}", joint, product(("time", k), (x, 1)), 1 / k)
-            for x in (q, v)
-            for k in (1, 2, 3)
-        ]
+        gain = [times(joint, {"time": k, x: 1}, weight=1 / k) for x in (q, v) for k in (1, 2, 3)]
         yield Family("gain in time", stage, "slow change", (axis,), ("time", q), _one(gain))
 
 
@@ -365,13 +357,9 @@ def _modulated(axis: str, joint: str, names: Sequence[str]) -> Iterator[Family]:
     q, v = f"q_{axis}", f"v_{axis}"
     for name in names:
         kind = "posture" if name in POSTURE else "place"
-        alone = [Term(f"P{k}({name})", joint, polynomial(name, k), 1 / k) for k in (1, 2, 3, 4)]
+        alone = [_legendre(name, joint, k, 1 / k) for k in (1, 2, 3, 4)]
         yield Family(kind, "interface", kind, (axis,), (name,), _one(alone))
-        gain = [
-            Term(f"{name}^{k} {x}", joint, product((name, k), (x, 1)), 1 / k)
-            for x in (q, v)
-            for k in (1, 2, 3)
-        ]
+        gain = [times(joint, {name: k, x: 1}, weight=1 / k) for x in (q, v) for k in (1, 2, 3)]
         yield Family(f"gain by {kind}", "interface", kind, (axis,), (name, q), _one(gain))
 
 
@@ -384,11 +372,11 @@ def _potential(
     factor = [energy / (f * x) for f, x in units]
     terms = []
     for i, j in ((1, 1), (2, 1), (1, 2), (3, 1), (2, 2), (1, 3)):
-        name, weight = f"V {a}^{i} {b}^{j}", 1 / (i + j - 1)
+        weight = 1 / (i + j - 1)
         terms.append(
             (
-                Term(name, joints[0], product((a, i - 1), (b, j)), weight, i * factor[0]),
-                Term(name, joints[1], product((a, i), (b, j - 1)), weight, j * factor[1]),
+                times(joints[0], {a: i - 1, b: j}, (), weight, i * factor[0]),
+                times(joints[1], {a: i, b: j - 1}, (), weight, j * factor[1]),
             )
         )
     return Family("elastic coupling", "interface", "elastic coupling", axes, (a, b), tuple(terms))
@@ -397,30 +385,21 @@ def _potential(
 def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:
     """Families of another axis' coordinate or rate, without a potential."""
     q, v, qo, vo = f"q_{axis}", f"v_{axis}", f"q_{other}", f"v_{other}"
-    elastic = [Term(f"P{k}({qo})", joint, polynomial(qo, k), 1 / k) for k in (1, 2, 3, 4)]
+    elastic = [_legendre(qo, joint, k, 1 / k) for k in (1, 2, 3, 4)]
     yield Family("from a coordinate", "interface", "coupling", (axis,), (qo,), _one(elastic))
-    lossy = [Term(vo, joint, product((vo, 1))), Term(f"|{vo}|{vo}", joint, product((vo, 1), (vo, 0.5)), 0.5)]
-    lossy += [Term(f"tanh({vo}/0.1)", joint, step(vo, 0.1))]
+    lossy = [times(joint, {vo: 1}), times(joint, {vo: 1}, [vo], 0.5), _steps(vo, joint)[1]]
     yield Family("from a rate", "interface", "coupling", (axis,), (vo,), _one(lossy))
-    gain = [Term(f"{qo}^{k} {v}", joint, product((qo, k), (v, 1)), 1 / k) for k in (1, 2, 3)]
+    gain = [times(joint, {qo: k, v: 1}, weight=1 / k) for k in (1, 2, 3)]
     yield Family("damping by another coordinate", "interface", "coupling", (axis,), (qo, v), _one(gain))
-    swept = [Term(f"{x} {vo}", joint, product((x, 1), (vo, 1))) for x in (q,)]
-    swept += [
-        Term(f"{q}^2 {vo}", joint, product((q, 2), (vo, 1)), 0.5),
-        Term(f"|{vo}| {v}", joint, product((vo, 0.5), (v, 1))),
-    ]
+    swept = [times(joint, {q: 1, vo: 1}), times(joint, {q: 2, vo: 1}, weight=0.5), times(joint, {v: 1}, [vo])]
     yield Family("by another rate", "interface", "coupling", (axis,), (q, vo), _one(swept))
 
 
 def _machine(joint: str, name: str) -> Iterator[Family]:
     """Families of forces on a joint of the machine."""
-    place = [Term(f"P{k}({name})", joint, polynomial(name, k), 1 / max(k, 1)) for k in (0, 1, 2, 3, 4, 5, 6)]
+    place = [_legendre(name, joint, k, 1 / max(k, 1)) for k in (0, 1, 2, 3, 4, 5, 6)]
     yield Family("machine elastic", "robot", "elastic", (joint,), (name,), _one(place))
     rate = f"rate of {name}"
-    lossy = [Term(f"tanh({rate}/{s:g})", joint, step(rate, s)) for s in SHARPNESS]
-    lossy += [
-        Term(rate, joint, product((rate, 1))),
-        Term(f"|{rate}| {rate}", joint, product((rate, 1), (rate, 0.5))),
-    ]
+    lossy = [*_steps(rate, joint), times(joint, {rate: 1}), times(joint, {rate: 1}, [rate])]
     yield Family("machine dissipative", "robot", "dissipative", (joint,), (rate,), _one(lossy))
     yield from _with_history("robot", joint, joint, name)

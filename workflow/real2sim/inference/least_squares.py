@@ -124,6 +124,23 @@ def minimise(
     return problem.best_z, problem.best_cost, problem.history, int(solution.status)
 
 
+def bounded_step(normal: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the Gauss-Newton step (n,) of normal equations (n, n) and slope (n,) that stays inside bounds (n,).
+
+    What meets a bound stays there and is made good by the others.
+    """
+    free, step = np.ones(len(slope), bool), np.zeros(len(slope))
+    for _ in range(4):
+        part = np.ix_(free, free)
+        step[free] = -np.linalg.solve(normal[part], slope[free] + normal[np.ix_(free, ~free)] @ step[~free])
+        outside = free & ((step < lower) | (step > upper))
+        step = np.clip(step, lower, upper)
+        if not outside.any():
+            break
+        free &= ~outside
+    return step
+
+
 class _Visited:
     """Residuals and Jacobian as scipy asks for them, with the best point visited and (evaluations, best cost) so far.
 

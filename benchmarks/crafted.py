@@ -471,7 +471,7 @@ def measure(read: Callable[[Path], Any], path: Path, limit_s: float = 40.0) -> t
 
 
 def within(grown_mb: float, seconds: float, size_mb: float) -> bool:
-    """Whether a case keeps the bars."""
+    """Return whether a case keeps the bars."""
     return grown_mb <= max(MOST_MEMORY * size_mb, FLOOR_MB) and seconds <= max(
         MOST_S_PER_MB * size_mb, FLOOR_S
     )

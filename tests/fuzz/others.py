@@ -23,19 +23,11 @@ from real2sim.system.model_files import model_files
 from real2sim.system.plant import load_robot
 
 from tests.fuzz import mutate, seeds, structured
+from tests.unit import handmade_person
 
 ROOT = Path(__file__).parents[2]
-SUBJECT = """id: S01
-cohort: calibration
-sex: female
-age_years: 27
-mass_kg: 60.5
-height_m: 1.66
-waist_m: 0.74
-tightness: {loosest_cm: 3, tightest_cm: 11, safe_comfortable_cm: 8}
-markers: {LASI: ASIS_L, RASI: ASIS_R}
-exclude: {dynamic_1: sensor fell off}
-phantom: true
+SUBJECT = f"""{handmade_person.SUBJECT}markers: {{LASI: ASIS_L, RASI: ASIS_R}}
+exclude: {{dynamic_1: sensor fell off}}
 """
 
 

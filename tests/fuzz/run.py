@@ -1,6 +1,6 @@
 """Damage files and read them: each is read or refused, within a second, in little memory.
 
-    python -m tests.fuzz.run COUNT FOLDER [--first NUMBER] [--seed SEED]
+    PYTHONPATH=workflow python -m tests.fuzz.run COUNT FOLDER [--first NUMBER] [--seed SEED]
 
 Run in a process of its own, so that a crash of a library is seen as one. Prints a summary as JSON; the input at
 work lies in FOLDER/input (or in FOLDER/others) while it is being read. Input NUMBER of a SEED is always the same, so

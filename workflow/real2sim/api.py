@@ -105,7 +105,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where the gap of a system's simulation lies, which effect causes it, how far it shrinks.
+    """Answer: where the gap of a system's simulation lies, which effect causes it, how far it shrinks.
 
     The attributes of the answer (``verdict``, ``probabilities``, ``causes``, ``where``, ``gap``, ``parameters``,
     ``next_trial`` ...) are those of diagnosis.json.
@@ -126,7 +126,7 @@ class Diagnosis:
 
     @property
     def where(self) -> dict[str, Any]:
-        """Where the gap lies: stage, axes, channels, time, frequency, regime."""
+        """Place of the gap: stage, axes, channels, time, frequency, regime."""
         return self.answer.where
 
     def table(self) -> pd.DataFrame:

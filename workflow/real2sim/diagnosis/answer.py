@@ -84,7 +84,7 @@ class Fits:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where the gap lies, which unmodelled effect causes it, how far it shrinks.
+    """Answer: where the gap lies, which unmodelled effect causes it, how far it shrinks.
 
     ``verdict`` is an effect's name, ``none`` or ``unknown``; ``probabilities`` over all effects and both add up to 1.
     ``where``, ``gap``, ``noise_floor``, ``considered``, ``baselines``, ``parameters`` and ``otherwise`` are sections of

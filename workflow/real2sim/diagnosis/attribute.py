@@ -32,7 +32,7 @@ DELAY = "sync_offset"
 
 @dataclass
 class Attribution:
-    """What the search found: the plain fit, every refitted hypothesis, best first, and the whole screening.
+    """Result of a search: the plain fit, every refitted hypothesis, best first, and the whole screening.
 
     ``samples`` are the numbers of whitened residuals of the two trials; ``pair`` holds them with what the search
     learnt of them (jumping markers).
@@ -103,7 +103,7 @@ def plain_fit(
 
 
 def is_doubtful(effects: Sequence[Placed]) -> bool:
-    """Whether one of the effects fits a law that the catalogue does not hold as often as itself.
+    """Return whether one of the effects fits a law that the catalogue does not hold as often as itself.
 
     Two time constants fit a continuous spectrum of them within seconds.
     """
@@ -111,7 +111,7 @@ def is_doubtful(effects: Sequence[Placed]) -> bool:
 
 
 def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool, most_laws_of_axis: int) -> bool:
-    """Whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
+    """Return whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
 
     Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
     so are two time constants, but where these leave nothing they are all there is to know. More than

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Known:
-    """What a fit says of one parameter: value less its bias by noise of the drive [SI], interval, bias, verdict."""
+    """Knowledge of one parameter: value less its bias by noise of the drive [SI], interval, bias, verdict."""
 
     unbiased: float
     ci95: tuple[float, float]

@@ -111,7 +111,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was found and decided, what was found under the other initial state, and whether trials changed places.
+    """Result of the searches: what was found and decided, and what was found under the other initial state.
 
     ``the_other_way``: nothing that was fitted to the first trial explains the second, and something that is fitted to
     the second explains the first.
@@ -129,11 +129,12 @@ def _with_noise(pair: Pair, parameters: np.ndarray, draws: int, seed: int) -> Pa
 
 
 def looks_settled(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) -> bool:
-    """Whether a machine in equilibrium explains much of what one that is released leaves: of all, or before it moves.
+    """Return whether a machine in equilibrium explains much of what one that is released leaves.
 
-    A machine that was held at its start pose in the first sample is released there by an interface that pulls; one that
-    came to rest before holds where that balances the interface. No record says which. ``plain`` is the fit of a machine
-    that is released; a cause may do the same as the pull that it leaves unexplained.
+    Of all that it leaves, or before it moves. A machine that was held at its start pose in the first sample is
+    released there by an interface that pulls; one that came to rest before holds where that balances the interface.
+    No record says which. ``plain`` is the fit of a machine that is released; a cause may do the same as the pull
+    that it leaves unexplained.
     """
     items = (pair.train, pair.held_out)
     search = Search(pair, options["search"])
@@ -206,7 +207,7 @@ def search_both_ways(trials: Trials) -> Outcome:
 
 
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSettings) -> bool:
-    """Whether the plain fit (n,) leaves nothing but noise of the fitted trial, and of the other enough to explain.
+    """Return whether the plain fit (n,) leaves only noise of the fitted trial, and of the other enough to explain.
 
     A stop, say, that only the second trial reaches: what is fitted to the first learns nothing of it.
     """

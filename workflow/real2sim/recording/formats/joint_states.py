@@ -11,7 +11,7 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.recording.formats.mcap_file import Channel, Contents, read_messages
 from real2sim.recording.formats.recordings import Finding
-from real2sim.recording.formats.robot_log import JOINT_STATE, decode_messages
+from real2sim.recording.formats.robot_log import JOINT_STATE, check_same_messages, decode_messages
 from real2sim.recording.formats.stamps import (
     StampedTopic,
     choose_times,
@@ -96,7 +96,7 @@ def read_joint_states(
             raise InputError(path, f"topic {name}", found, "a time", _RECORD, "damaged")
         start_ns = message.log_time if start_ns is None else min(start_ns, message.log_time)
         topic = topics.setdefault(name, _Topic(message.channel))
-        _check_same(path, topic.channel, message.channel)
+        check_same_messages(path, topic.channel, message.channel)
         topic.waiting.append(message.data)
         topic.logged.append(message.log_time)
         topic.bytes_waiting += len(message.data)
@@ -109,15 +109,6 @@ def read_joint_states(
     times, delays = choose_times(path, stamped, default_settings(), findings)
     findings += large_delays(path, delays, default_settings())
     return _series(topics, times, start_ns or 0), findings
-
-
-def _check_same(path: Path, first: Channel, other: Channel) -> None:
-    """Refuse two channels of one topic that carry different kinds of message."""
-    kinds = [(c.message_encoding, c.schema_name, c.schema_encoding, c.schema_data) for c in (first, other)]
-    if kinds[0] != kinds[1]:
-        found = f"channels {first.id} and {other.id} with different messages"
-        remedy = "record one of the two publishers"
-        raise InputError(path, f"topic {first.topic}", found, "one kind of message", remedy, "message_type")
 
 
 def _series(

@@ -466,7 +466,7 @@ def _collect(path: Path, contents: Contents) -> tuple[int, dict[str, _Topic]]:
             _check_channel(path, message.channel)
             topic = topics[name] = _Topic(path, message.channel)
         elif topic.channel != message.channel:
-            _check_same(path, topic.channel, message.channel)
+            check_same_messages(path, topic.channel, message.channel)
         topic.add(message.log_time, message.data)
     if start_ns is None:
         expected = "a log with /odom and /joint_states"
@@ -492,8 +492,8 @@ def _check_channel(path: Path, channel: Channel) -> None:
         raise InputError(path, place, found, expected, remedy, "encoding")
 
 
-def _check_same(path: Path, first: Channel, other: Channel) -> None:
-    """Two channels of one topic (two publishers) must carry the same kind of message."""
+def check_same_messages(path: Path, first: Channel, other: Channel) -> None:
+    """Refuse two channels of one topic (two publishers) that carry different kinds of message."""
     kinds = [(c.message_encoding, c.schema_name, c.schema_encoding, c.schema_data) for c in (first, other)]
     if kinds[0] != kinds[1]:
         found = f"channels {first.id} and {other.id} with different messages"

@@ -49,7 +49,9 @@ def sentence(law: Mapping[str, Any]) -> str:
     else:
         text = f"The gap looks like a force along {' and '.join(law['axes'])} that depends on {on}"
         text += f" ({law['kind']})"
-    if law["gap_closed"] is not None:
+    if law["gap_closed"] is not None and law["gap_closed"] >= 1:
+        text += "; with it J is no more than noise alone costs"
+    elif law["gap_closed"] is not None:
         low, high = (percent(x).removesuffix(" %") for x in law["gap_closed_ci95"])
         text += (
             f"; with it J falls by {percent(law['gap_closed'])} ({low} to {high}) of what lies above noise"
@@ -61,7 +63,7 @@ def sentence(law: Mapping[str, Any]) -> str:
         closest = law["nearest"]
         text += f"The best set of names, {closest['effect']}, closes {percent(closest['gap_closed'])}. "
     if len(law["families"]) > 1:
-        text += f"{len(law['families'])} such laws act together; the first one is told here. "
+        text += f"{len(law['families'])} such laws act together: this one is missed most, the table has them all. "
     return text + (
         "It describes what these trials show, within the range that the fitted one visited. It is no proof of a cause."
     )
@@ -111,5 +113,5 @@ def _equation(law: Mapping[str, Any]) -> str:
         ]
         for row in law["equation"]
     ]
-    caption = "Terms that carry most of the law, with 95 % intervals; a unit that names no variable is of a large one."
+    caption = "Terms that carry most of each law on the fitted trial, with 95 % intervals"
     return table(["On", "Term", "Value", "95 %", "Unit"], rows, caption=caption, numeric=(2,))

@@ -11,9 +11,10 @@ import numpy as np
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision, averaged, next_trial, share_of_other
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.free_form import measure
+from real2sim.diagnosis.free_form import Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
 from real2sim.diagnosis.law import describe
+from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Outcome, conclude
@@ -22,7 +23,7 @@ from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.noise_floor import block_bootstrap_mean
 
 if TYPE_CHECKING:
-    from real2sim.settings import DiagnosisReportSettings, Settings
+    from real2sim.settings import DiagnosisReportSettings, DiagnosisSettings, Settings
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 
@@ -83,12 +84,23 @@ class Fits:
 
 
 @dataclass(frozen=True)
+class Beyond:
+    """What an answer says beyond names: the law where none fits, and what a named cause leaves; sections of the file.
+
+    Each is None where it does not apply.
+    """
+
+    free_form: dict[str, Any] | None = None
+    misfit: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Answer: where the gap lies, which unmodelled effect causes it, how far it shrinks.
 
     ``verdict`` is an effect's name, ``none`` or ``unknown``; ``probabilities`` over all effects and both add up to 1.
     ``where``, ``gap``, ``noise_floor``, ``considered``, ``baselines``, ``parameters`` and ``otherwise`` are sections of
-    diagnosis.json. ``fits`` are those behind the answer. ``free_form`` is the measured law where no name fits.
+    diagnosis.json. ``fits`` are those behind the answer.
     """
 
     verdict: str
@@ -105,7 +117,7 @@ class Diagnosis:
     next_trial: str | None
     otherwise: dict[str, Any] | None
     fits: Fits
-    free_form: dict[str, Any] | None = None
+    beyond: Beyond = Beyond()
 
     @property
     def found(self) -> Found:
@@ -128,7 +140,8 @@ class Diagnosis:
         return {
             "robot_holds": self.found.initial_state,
             "otherwise": self.otherwise,
-            "free_form": self.free_form,
+            "free_form": self.beyond.free_form,
+            "misfit": self.beyond.misfit,
             "noise_floor": self.noise_floor,
             "gap": self.gap,
             "where": self.where,
@@ -171,6 +184,7 @@ def answer(
     Where the verdict is `unknown`, the law is measured that explains the gap, if one does. ``progress`` is told.
     """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
+    own, misfit = _checked(found, own, options, progress)
     decision, share, otherwise = own, 0.0, None
     if other is not None:
         under_other = conclude(other, options)
@@ -182,8 +196,7 @@ def answer(
             decision = averaged(own, under_other, share, constants["ambiguity_probability"])
     account = _Account(found, decision, settings)
     result = account.diagnosis(otherwise)
-    if result.verdict == UNKNOWN:
-        result = replace(result, free_form=account.free_form(progress))
+    result = replace(result, beyond=account.beyond(misfit, progress))
     if not share or other is None:
         return result
     theirs = _Account(other, under_other, settings).causes()
@@ -195,6 +208,16 @@ def answer(
     likelier = {n: more and decision.probabilities[n] >= least for n, more in likelier.items()}
     causes = _of_both_states(result.causes, theirs, likelier, decision.probabilities, other.initial_state)
     return replace(result, causes=causes)
+
+
+def _checked(
+    found: Found, decision: Decision, options: DiagnosisSettings, progress: Callable[[str], None]
+) -> tuple[Decision, Misfit | None]:
+    """Return the decision once laws without a name compete where the named set leaves more than noise."""
+    if decision.chosen is None:
+        return decision, None
+    misfit = misfit_of(found, chosen(found.attribution, decision), options, progress)
+    return told_apart(misfit, found, decision, options)
 
 
 def _of_both_states(
@@ -227,18 +250,14 @@ def _otherwise(found: Found, decision: Decision) -> dict[str, Any]:
         "verdict": decision.verdict,
         "verdict_set": _verdict_set(attribution, decision),
         "probability": decision.probabilities[decision.verdict],
-        "chi2_best": list(_chosen(attribution, decision).chi2),
+        "chi2_best": list(chosen(attribution, decision).chi2),
         "chi2_expected": list(attribution.samples),
     }
 
 
 def _verdict_set(attribution: Attribution, decision: Decision) -> list[str]:
     """Effects of the set that the verdict rests on, or `none` or `unknown`."""
-    return list(_chosen(attribution, decision).names) or [decision.verdict]
-
-
-def _chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
-    return attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]
+    return list(chosen(attribution, decision).names) or [decision.verdict]
 
 
 def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
@@ -255,7 +274,7 @@ class _Account:
         self._found, self._decision, self._settings = found, decision, settings
         self._report: DiagnosisReportSettings = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
-        self._best = _chosen(found.attribution, decision)
+        self._best = chosen(found.attribution, decision)
         shown = found.pair.shown
         self._plain_path = simulate(shown, found.pair, found.attribution.plain)
         self._floor_draws = shown.floor_draws()
@@ -383,14 +402,27 @@ class _Account:
             cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
         )
 
-    def free_form(self, progress: Callable[[str], None]) -> dict[str, Any] | None:
-        """Return the measured law; None where none closes enough of the gap on the held-out trial."""
+    def beyond(self, misfit: Misfit | None, progress: Callable[[str], None]) -> Beyond:
+        """Return the measured law of an unknown cause, and what a named one leaves (``misfit``)."""
+        if self._decision.verdict == UNKNOWN:
+            measured = misfit.measured if misfit is not None else None
+            return Beyond(free_form=self._free_form(measured, progress))
+        if self._decision.chosen is None or misfit is None:
+            return Beyond()
+        return Beyond(misfit=misfit.to_dict(self._found))
+
+    def _free_form(self, measured: Measured | None, progress: Callable[[str], None]) -> dict[str, Any] | None:
+        """Return the measured law; None where none closes enough of the gap on the held-out trial.
+
+        Laws are measured unless they are given.
+        """
         options, pair, plain = self._settings["diagnosis"], self._pair, self._attribution.plain
         nearest = min([plain, *self._attribution.hypotheses], key=lambda h: sum(h.chi2))
-        search = Search(pair, options["search"])
-        laws, library = measure(
-            pair, plain, nearest.base, search, options["free_form"], options["search"], progress
-        )
+        if measured is None:
+            search = Search(pair, options["search"])
+            free, searched = options["free_form"], options["search"]
+            measured = measure(pair, plain, nearest.base, search, free, searched, progress)
+        laws, library = measured.laws, measured.library
         n = self._attribution.samples[1]
         shown = [h for h in laws if self._share(h.hypothesis, n) >= options["free_form"]["least_closed"]]
         if not shown:

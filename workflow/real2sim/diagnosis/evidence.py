@@ -14,6 +14,7 @@ from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import Placed
 from real2sim.effects.chains import Context
 from real2sim.recording.skin import Skin
+from real2sim.system.linear import Linearised
 
 # Initial-state hypotheses: the machine is released at the start pose, or in static equilibrium with the interface
 START_POSE, BALANCE = "start pose", "balance"
@@ -27,6 +28,12 @@ class Simulation(Protocol):
 
         Returns what is observed (m, n, ...) and the machine's joints (m, n, j); NaN where a simulation failed.
         """
+
+    def linearised(self) -> Linearised | None:
+        """Return the last call's first simulation as a linear system; None where forces do not act linearly."""
+
+    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first."""
 
 
 class Cost(Protocol):

@@ -8,7 +8,7 @@ with the system's parameters, like any effect, and are compared by their evidenc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -22,8 +22,18 @@ from real2sim.effects import families
 from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Placed, Where
 from real2sim.effects.chains import Context
 from real2sim.effects.displacements import Displacement, displacements
-from real2sim.effects.families import Family, Range, Term, Variable
-from real2sim.effects.planned import PlannedForce
+from real2sim.effects.families import (
+    FASTEST_HZ,
+    Basis,
+    Family,
+    Range,
+    Term,
+    Variable,
+    cosine,
+    rhythm,
+    with_rhythm,
+)
+from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import bounded_step
 
 if TYPE_CHECKING:
@@ -33,6 +43,10 @@ if TYPE_CHECKING:
 _BOUND = 100.0
 # Prior scales that are tried, in units of a large force of the joint
 _SCALES = np.exp(np.linspace(-7.0, 1.5, 18))
+# Histories in whose place rhythms are looked for; the slowest rhythm [Hz], and frequencies per turn more in a trial
+_RHYTHMS = 4
+_SLOWEST_HZ = 0.2
+_PER_TURN = 4
 # Basis functions that one replay has at a time
 _CHUNK = 64
 
@@ -45,6 +59,7 @@ class Library:
     def __init__(self, pair: Pair, band_share: float):
         system, scales = pair.system, pair.train.scales
         self.system, self._scales, self._band = system, scales, band_share * system.band_hz
+        self.contexts = (pair.train.context, pair.held_out.context)
         self._known: dict[int, tuple[np.ndarray, dict[str, Variable], dict[str, np.ndarray]]] = {}
         own = self.variables(pair.train.context)
         self.template = own
@@ -57,13 +72,16 @@ class Library:
             self.force[joint] = float(np.mean(alike)) if alike else 1.0
         # markers on a bar, and an interface whose rotation they show
         pose = {"pose", "bar", "base"} <= system.offers
-        self._take(families.families(system, list(own), self.force, q), displacements() if pose else [])
+        longest = max(self.variables(e.context)["time"].scale for e in (pair.train, pair.held_out))
+        forces = families.families(system, list(own), self.force, q, longest)
+        self._take(forces, displacements() if pose else [])
 
     def _take(self, forces: Sequence[Family], moved: Sequence[Displacement]) -> None:
         """Hold these families, and their basis functions, each once per joint."""
         self.forces, self.displacements = list(forces), list(moved)
         terms = {(t.joint, t.name): t for f in forces for row in f.terms for t in row}
         self.columns = list(terms.values())
+        self._joints = list(dict.fromkeys(t.joint for t in self.columns))
         self.index = {key: i for i, key in enumerate(terms)}
 
     def variables(self, context: Context) -> dict[str, Variable]:
@@ -90,16 +108,29 @@ class Library:
             out.append(made[term.name] * term.factor)
         return np.array(out).reshape(len(out), len(context.time_s))
 
+    @property
+    def motors(self) -> Placed:
+        """Motors of all joints that families act on, as an effect that does nothing."""
+        first = {t.joint: t for t in reversed(self.columns)}
+        return self.columns_effect([first[joint] for joint in self._joints])
+
+    def forces_of_columns(self, terms: Sequence[Term], context: Context) -> np.ndarray:
+        """Return forces (p, n, j) [N, Nm] at the samples by basis functions on the joints of `motors`."""
+        out = np.zeros((len(terms), len(context.time_s), len(self._joints)))
+        for i, (term, signal) in enumerate(zip(terms, self.signals(terms, context), strict=True)):
+            out[i, :, self._joints.index(term.joint)] = signal * self.force[term.joint]
+        return out
+
     def placed(self, family: AnyFamily, scale: float) -> Placed:
         """Return a family with a prior scale as an effect at its place."""
         if isinstance(family, Displacement):
             effect = family.effect([scale * w for w in family.weights], _BOUND)
         else:
-            sd = [scale * row[0].weight for row in family.terms]
-            effect = self._forced(family.name, family.stage, family.terms, sd)
+            effect = self._forced(family, scale)
         return Placed(effect, Where(self.system, (), 0, "", family.key), self._scales)
 
-    def _forced(self, name: str, stage: str, rows: Sequence[Sequence[Term]], sd: Sequence[float]) -> Effect:
+    def _forced(self, family: Family, scale: float) -> Effect:
+        rows = family.terms
         joints = tuple(dict.fromkeys(t.joint for row in rows for t in row))
         planned: dict[tuple[int, int], np.ndarray] = {}
 
@@ -116,17 +147,29 @@ class Library:
                 planned[key] = out
             return np.asarray(np.tensordot(values, planned[key], axes=1))
 
+        trials = ("fitted", "held out") if family.each_trial else ("",)
+        coefficients = tuple(
+            EffectParameter(
+                f"c{i} {trial}".strip(),
+                "1",
+                -_BOUND,
+                _BOUND,
+                (0.0,),
+                prior_sd=scale * row[0].weight,
+                trial=trial,
+            )
+            for trial in trials
+            for i, row in enumerate(rows)
+        )
         return Effect(
-            name,
-            stage,
+            family.name,
+            family.stage,
             "linear in its coefficients",
-            tuple(
-                EffectParameter(f"c{i}", "1", -_BOUND, _BOUND, (0.0,), prior_sd=s) for i, s in enumerate(sd)
-            ),
+            coefficients,
             separating_trial="a wider range of what it depends on",
-            at_rest=AtRest((0.0,) * len(rows)),
+            at_rest=AtRest((0.0,) * len(coefficients)),
             scope="whole",
-            plant=PlannedForce(plan, joints),
+            plant=FamilyForce(plan, joints),
         )
 
     def is_turn(self, joint: str) -> bool:
@@ -152,7 +195,9 @@ class Library:
 
     def columns_effect(self, terms: Sequence[Term]) -> Placed:
         """Return basis functions side by side as one effect."""
-        effect = self._forced("columns", "interface", [[t] for t in terms], [1.0] * len(terms))
+        alike = [replace(t, weight=1.0) for t in terms]
+        side_by_side = Family("columns", "interface", "", (), (), tuple((t,) for t in alike))
+        effect = self._forced(side_by_side, 1.0)
         return Placed(effect, Where(self.system, (), 0, "", "columns"), self._scales)
 
 
@@ -205,9 +250,33 @@ def _slopes_of(
         return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[:n]
 
     terms = library.columns
-    columns = [by(library.columns_effect(terms[i : i + _CHUNK])) for i in range(0, len(terms), _CHUNK)]
+    parts = [terms[i : i + _CHUNK] for i in range(0, len(terms), _CHUNK)]
+    columns = _on_tangent(evidence, library, base, parts)
+    if columns is None:
+        columns = [by(library.columns_effect(part)) for part in parts]
     moved = {d.name: by(library.placed(d, 1.0)) for d in library.displacements}
     return r, jac, np.hstack(columns) if columns else np.zeros((n, 0)), moved
+
+
+def _on_tangent(
+    evidence: Evidence, library: Library, base: Hypothesis, parts: Sequence[Sequence[Term]]
+) -> list[np.ndarray] | None:
+    """Slopes (r, c) by basis functions from the linearised simulation; None where that is not their slope."""
+    motors = library.motors
+    replay = evidence.replay([*base.effects, motors], 1, coarse=True)
+    x = [*(part[None] for part in base.split()), np.zeros((1, len(motors.effect.parameters)))]
+    paths, joints = replay.run_effects(library.system.values(base.base)[None], x)
+    linear = replay.linearised()
+    if linear is None:
+        return None
+    here = evidence.whitened(paths, joints)
+    out = []
+    for part in parts:
+        moved, turned = replay.response(
+            linear, len(base.effects), library.forces_of_columns(part, evidence.context)
+        )
+        out.append((evidence.whitened(paths + moved, joints + turned) - here).T)
+    return out
 
 
 @dataclass(frozen=True)
@@ -225,17 +294,24 @@ class Screened:
 
 
 def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) -> list[Screened]:
-    """Return every family by its gain in ln evidence on both trials, best first."""
-    lower, upper = _room(library, base, longest)
-    whole = _Equations(known, slice(None), lower, upper)
-    fitted = _Equations(known, slice(known.train), lower, upper)
-    out = []
-    everything: list[AnyFamily] = [*library.forces, *library.displacements]
-    for family in everything:
-        columns, weights = _columns_of(family, known, library)
+    """Return every family by its gain in ln evidence on both trials, best first.
+
+    Rhythms are looked for where a force or gain of a free history explains much.
+    """
+    room = _room(library, base, longest)
+    whole = _Equations(known, slice(None), *room)
+    fitted = _Equations(known, slice(known.train), *room)
+
+    def screened(family: AnyFamily, columns: np.ndarray, weights: np.ndarray) -> Screened:
         scale, gain = whole.best_scale(columns, weights)
         step, coefficients = fitted.solve(columns, scale * weights)
-        out.append(Screened(family, scale, gain, coefficients, step))
+        return Screened(family, scale, gain, coefficients, step)
+
+    everything: list[AnyFamily] = [*library.forces, *library.displacements]
+    out = [screened(family, *_columns_of(family, known, library)) for family in everything]
+    free = [s for s in out if isinstance(s.family, Family) and s.family.each_trial]
+    for parent in sorted(free, key=lambda s: -s.gain)[:_RHYTHMS]:
+        out += [screened(*found) for found in _rhythms(parent.family, known, library)]
     return sorted(out, key=lambda s: -s.gain)
 
 
@@ -245,7 +321,41 @@ def _columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.
         return known.displaced[family.name], np.array(family.weights)
     rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
     columns = np.stack([known.columns[:, row].sum(axis=1) for row in rows], axis=1)
-    return columns, np.array([row[0].weight for row in family.terms])
+    weights = np.array([row[0].weight for row in family.terms])
+    return _of_each_trial(columns, weights, known) if family.each_trial else (columns, weights)
+
+
+def _of_each_trial(columns: np.ndarray, weights: np.ndarray, known: Slopes) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes (r, 2p) and weights (2p,) where each trial has coefficients of its own."""
+    fitted = columns.copy()
+    fitted[known.train :] = 0
+    return np.hstack([fitted, columns - fitted]), np.tile(weights, 2)
+
+
+def _rhythms(
+    parent: AnyFamily, known: Slopes, library: Library
+) -> Iterator[tuple[Family, np.ndarray, np.ndarray]]:
+    """Rhythms in place of a free history, their slopes and weights; a sine of time is a sum of its cosines."""
+    assert isinstance(parent, Family)
+    index = [library.index[row[0].joint, row[0].name] for row in parent.terms]
+    joint = parent.terms[0][0].joint
+    first = len(parent.depends_on) - 1
+    cosines = [Term(f"cos({k} pi time)", joint, cosine(k)) for k in range(first, first + len(index))]
+    of_trial = [np.linalg.pinv(library.signals(cosines, context).T) for context in library.contexts]
+    parts = known.columns[: known.train, index], known.columns[known.train :, index]
+    longest = max(float(library.variables(c)["time"].scale) for c in library.contexts)
+    for hz in np.arange(_SLOWEST_HZ, FASTEST_HZ - _SLOWEST_HZ, 1 / (_PER_TURN * longest)):
+        family = with_rhythm(parent, float(hz))
+        alone = [replace(row[0], basis=b) for row, b in zip(family.terms, _sines(float(hz)), strict=True)]
+        columns = []
+        for part, inverse, context in zip(parts, of_trial, library.contexts, strict=True):
+            sines = np.array([t.basis(library.variables(context), library.ranges, 0.01) for t in alone])
+            columns.append(part @ (inverse @ sines.T))
+        yield family, *_of_each_trial(np.vstack(columns), np.ones(2), known)
+
+
+def _sines(hz: float) -> list[Basis]:
+    return [rhythm(hz, shift) for shift in (0.0, 0.25)]
 
 
 def _room(library: Library, base: Hypothesis, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -312,11 +422,35 @@ class _Equations:
 
 @dataclass(frozen=True)
 class Law:
-    """Families that were refitted together, with the gain of ln evidence over the plain plant on both trials."""
+    """Families that were refitted together, with the gain of ln evidence over the plain plant on both trials.
+
+    The last effects of the hypothesis are the families, those before them are named ones.
+    """
 
     families: tuple[AnyFamily, ...]
     hypothesis: Hypothesis
     gain: float
+
+    @property
+    def is_history(self) -> bool:
+        """Whether its first family has a history of its own in each trial, so that it foretells nothing."""
+        return isinstance(self.families[0], Family) and self.families[0].each_trial
+
+    @property
+    def first(self) -> int:
+        """Index of the first family among the searched numbers of the hypothesis."""
+        named = self.hypothesis.effects[: len(self.hypothesis.effects) - len(self.families)]
+        return len(self.hypothesis.base) + sum(len(p.effect.parameters) for p in named)
+
+    @property
+    def parameters(self) -> int:
+        """Number of coefficients."""
+        return sum(len(x) for x in self.coefficients)
+
+    @property
+    def coefficients(self) -> list[np.ndarray]:
+        """Coefficients of each family, (p,)."""
+        return self.hypothesis.split()[len(self.hypothesis.effects) - len(self.families) :]
 
 
 def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
@@ -401,6 +535,42 @@ def _ordered(law: Law, order: Sequence[int]) -> Law:
     return Law(tuple(law.families[i] for i in order), moved, law.gain)
 
 
+@dataclass(frozen=True)
+class Measured:
+    """Laws that were refitted without names, by their evidence, best first, and the families by what they promise."""
+
+    laws: list[Law]
+    screened: list[Screened]
+    _trial: _Trial
+
+    @property
+    def library(self) -> Library:
+        """The families that they are from."""
+        return self._trial.library
+
+    def on_top(self, named: Hypothesis, promising: int, refits: int, share: float) -> Law | None:
+        """Return the family that explains most of what a named set leaves of both trials.
+
+        Tried are those on the axes of the set and the ``promising`` of the whole gap; the best ``refits`` are refitted
+        together with the set; ``share`` as of `search.grow_share`. None where none gains more evidence than the choice
+        among them costs.
+        """
+        trial = self._trial
+        axes = {axis for placed in named.effects for axis in placed.axes}
+        good = {s.family.key for s in self.screened[:promising]}
+        library = self.library.only([f for f in self.library.forces if axes & set(f.axes) or f.key in good])
+        further = screen(slopes(trial.pair, library, named), library, named, trial.longest)
+        alone = Law((), named, ln_evidence(trial.pair, named, trial.longest) - trial.origin)
+        tried = [trial.refitted((), s, named) for s in _diverse(further, refits)]
+        price = np.log(len(further)) if further else 0.0
+        kept = [
+            law
+            for law in tried
+            if law.gain - alone.gain > price and _explains_more(alone, law, trial.search.samples, share)
+        ]
+        return max(kept, key=lambda law: law.gain, default=None)
+
+
 def measure(
     pair: Pair,
     plain: Hypothesis,
@@ -409,8 +579,8 @@ def measure(
     options: DiagnosisFreeFormSettings,
     search_options: DiagnosisSearchSettings,
     progress: Callable[[str], None],
-) -> tuple[list[Law], Library]:
-    """Return the laws that were refitted, by their evidence, best first, and the families they are from.
+) -> Measured:
+    """Return the laws that explain a gap without names.
 
     Parameters
     ----------
@@ -423,16 +593,31 @@ def measure(
     longest = search_options["longest_step"]
     library = Library(pair, options["band_share"])
     base = Hypothesis((), start, (np.nan, np.nan))
-    progress(f"no name fits: {len(library.forces) + len(library.displacements)} families are screened")
+    progress(
+        f"{len(library.forces) + len(library.displacements)} families of laws without a name are screened"
+    )
     known = slopes(pair, library, base)
     screened = screen(known, library, base, longest)
     trial = _Trial(pair, library, search, ln_evidence(pair, plain, longest), longest, progress)
     laws = [trial.refitted((), s, base) for s in _diverse(screened, options["refits"])]
-    laws = sorted(laws, key=lambda law: -law.gain)
+    laws = _foretelling_first(sorted(laws, key=lambda law: -law.gain), search_options["grow_share"])
     for law in laws[:3]:
         progress(f"{_named(law)}: ln evidence +{law.gain:.0f}")
     laws = _grown(laws, screened, trial, options, search_options["grow_share"])
-    return ([trial.pruned(laws[0], float(np.log(len(screened)))), *laws[1:]] if laws else laws), library
+    if laws:
+        laws[0] = trial.pruned(laws[0], float(np.log(len(screened))))
+    return Measured(laws, screened, trial)
+
+
+def _foretelling_first(laws: list[Law], share: float) -> list[Law]:
+    """Laws, best first, but one that foretells before a history of its own in each trial that gains little more.
+
+    A history can stand for any law of its axis; what depends on something that was recorded says more.
+    """
+    if not laws or not laws[0].is_history:
+        return laws
+    others = [law for law in laws if not law.is_history and law.gain > (1 - share) * laws[0].gain]
+    return [*others[:1], *(law for law in laws if law not in others[:1])]
 
 
 def _named(law: Law) -> str:
@@ -467,7 +652,11 @@ def _grown(
         tried = [
             trial.refitted(best.families, s, best.hypothesis) for s in _diverse(further, options["most"])
         ]
-        tried = [law for law in tried if law.gain - best.gain > price and _both_better(best, law)]
+        tried = [
+            law
+            for law in tried
+            if law.gain - best.gain > price and _explains_more(best, law, trial.search.samples, grow_share)
+        ]
         more = max(tried, key=lambda law: law.gain, default=None)
         if more is None:
             break
@@ -479,6 +668,14 @@ def _grown(
     return laws
 
 
-def _both_better(smaller: Law, larger: Law) -> bool:
-    """Whether a larger law leaves less of the trial that it was fitted to and of the other."""
-    return all(b < a for a, b in zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, strict=True))
+def _explains_more(smaller: Law, larger: Law, samples: Sequence[int], share: float) -> bool:
+    """Whether a larger law leaves less of the trial that it was fitted to and of the other.
+
+    A history of its own in each trial mends what another law foretells badly there: it has to take away a ``share`` of
+    what stands above noise in each of them.
+    """
+    both = list(zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, samples, strict=True))
+    added = larger.families[-1]
+    if isinstance(added, Family) and added.each_trial:
+        return all(a > n and b - n < (1 - share) * (a - n) for a, b, n in both)
+    return all(b < a for a, b, _ in both)

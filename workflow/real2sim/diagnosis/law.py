@@ -50,19 +50,39 @@ def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> d
             dict.fromkeys(v for f in law.families if f.kind == first.kind for v in f.depends_on)
         ),
         "family": first.name,
-        "families": [_named(f) for f in law.families],
+        "families": [named_family(f) for f in law.families],
         "ln_evidence": law.gain,
         "equation": [row for one in fitted for row in _equation(pair, one, library)],
         "curve": _curve(fitted[0], library),
         "rivals": [
-            {"families": [_named(f) for f in r.families], "ln_evidence_behind": law.gain - r.gain}
+            {"families": [named_family(f) for f in r.families], "ln_evidence_behind": law.gain - r.gain}
             for r in rivals
             if np.isfinite(r.gain)
         ],
     }
 
 
-def _named(family: AnyFamily) -> dict[str, Any]:
+def size(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
+    """Return the RMS of the law's first force on the fitted trial about its mean, None for a displacement.
+
+    Of a force on several joints, the one is told that is largest beside the joint's large force.
+    """
+    family = law.families[0]
+    if not isinstance(family, Family):
+        return None
+    x = law.coefficients[0][: len(family.terms)]
+    rms = {}
+    for joint in dict.fromkeys(t.joint for row in family.terms for t in row):
+        rows = [
+            library.signals([t for t in row if t.joint == joint], pair.train.context) for row in family.terms
+        ]
+        rms[joint] = float(np.std(x @ np.array([row.sum(axis=0) for row in rows])))
+    joint = max(rms, key=lambda j: rms[j])
+    return {"rms": rms[joint] * library.force[joint], "unit": "Nm" if library.is_turn(joint) else "N"}
+
+
+def named_family(family: AnyFamily) -> dict[str, Any]:
+    """Return what diagnosis.json says of a family: place, kind and variables."""
     return {
         "family": family.name,
         "stage": family.stage,
@@ -74,10 +94,12 @@ def _named(family: AnyFamily) -> dict[str, Any]:
 
 def _fitted(pair: Pair, law: Law) -> list[_Fitted]:
     covariance = covariance_of(pair, law.hypothesis)
-    at, out = len(law.hypothesis.base), []
-    for family, x in zip(law.families, law.hypothesis.split(), strict=True):
-        own = slice(at, at + len(x))
-        out.append(_Fitted(family, x, covariance[own, own]))
+    at, out = law.first, []
+    for family, x in zip(law.families, law.coefficients, strict=True):
+        # of coefficients that each trial has of its own, those of the fitted one are told
+        count = len(family.terms)
+        own = slice(at, at + count)
+        out.append(_Fitted(family, x[:count], covariance[own, own]))
         at += len(x)
     return out
 
@@ -88,6 +110,9 @@ def _equation(pair: Pair, fitted: _Fitted, library: Library) -> list[dict[str, A
     if not isinstance(family, Family):
         return []
     context = pair.train.context
+    if family.name == "external force" or family.name == "gain by history":
+        # a history is no equation
+        return []
     out: list[dict[str, Any]] = []
     for joint in dict.fromkeys(t.joint for row in family.terms for t in row):
         rows = [[t for t in row if t.joint == joint] for row in family.terms]

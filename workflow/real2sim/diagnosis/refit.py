@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.effects.base import InterfaceImpedance
 from real2sim.effects.catalogue import Placed
 from real2sim.inference import least_squares
 from real2sim.recording.skin import Skin
@@ -120,7 +121,11 @@ class JointResiduals(least_squares.Residuals):
         )
 
     def _some(self, z: np.ndarray) -> np.ndarray:
-        rows = [self._evidence.whitened(*self._run(z)), self._prior(z, slice(self._n))]
+        return np.hstack([self._evidence.whitened(*self._run(z)), self._beside_data(z)])
+
+    def _beside_data(self, z: np.ndarray) -> np.ndarray:
+        """Rows (m, r) that no simulation is needed for: those of the priors, and ways of the pelvis' markers."""
+        rows = [self._prior(z, slice(self._n))]
         # effect by effect: what is added to a set adds its rows at the end
         for placed, own, x in zip(
             self.effects, self._places, split(self.effects, z[:, self._n :]), strict=True
@@ -130,6 +135,52 @@ class JointResiduals(least_squares.Residuals):
             if skin is not None:
                 rows.append(np.array([skin.departures(way) for way in ways]))
         return np.hstack(rows)
+
+    def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As of `least_squares.Residuals`."""
+        if not self._is_force()[free].any():
+            return super().with_jacobian(z, free)
+        r = self.many(z[None])[0]
+        return r, self.jacobian(z, r, free)
+
+    def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """As of `least_squares.Residuals`; by coefficients of planned forces from the linearised simulation."""
+        forces = self._is_force()[free]
+        by_forces = self._by_forces(z, free[forces]) if forces.any() else None
+        if by_forces is None:
+            return super().jacobian(z, r, free)
+        out = np.empty((len(r), len(free)))
+        out[:, forces] = by_forces
+        out[:, ~forces] = super().jacobian(z, r, free[~forces])
+        return out
+
+    def _is_force(self) -> np.ndarray:
+        """Which coordinates (n + p,) are coefficients that a planned force is linear in."""
+        out = np.zeros(len(self.lower), bool)
+        for placed, own in zip(self.effects, self._places, strict=True):
+            out[own] = placed.effect.plant.linear
+        return out
+
+    def _by_forces(self, z: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+        """Slopes (n_r, k) by coefficients of planned forces; None where the simulation is not linear in forces."""
+        paths, joints = self._run(z[None])
+        linear = self._replay.linearised()
+        if linear is None:
+            return None
+        here, evidence = self._evidence.whitened(paths, joints), self._evidence
+        context = replace(evidence.context, step_time_s=evidence.context.time_s, held_out=evidence.held_out)
+        impedance = InterfaceImpedance(np.empty((0, 0)), np.empty((0, 0)))
+        data = np.zeros((here.shape[1], len(z)))
+        for i, (placed, own) in enumerate(zip(self.effects, self._places, strict=True)):
+            acts = np.flatnonzero(placed.of_trial(held_out=evidence.held_out)) + own.start
+            if placed.effect.plant.linear and np.isin(acts, columns).any():
+                unit = np.eye(len(acts))
+                force = placed.effect.plant.force(unit, context, placed.where, impedance)
+                assert force is not None
+                moved, turned = self._replay.response(linear, i, force)
+                data[:, acts] = (evidence.whitened(paths + moved, joints + turned) - here).T
+        beside = self._beside_data(np.vstack([z, z + np.eye(len(z))[columns]]))
+        return np.vstack([data[:, columns], (beside[1:] - beside[0]).T])
 
     def _prior(self, z: np.ndarray, part: slice) -> np.ndarray:
         """Rows (m, r) of those coordinates in a part that are held near something."""

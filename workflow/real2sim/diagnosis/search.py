@@ -76,7 +76,7 @@ class Search:
         self.pair, self._settings = pair, settings
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
-        self._noise: dict[tuple[str, bytes], tuple[float, float]] = {}
+        self._noise: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
         self._screened_from: Tangent | None = None
 
     def fit(
@@ -123,19 +123,29 @@ class Search:
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
         """
         left, mean = sum(hypothesis.chi2), float(sum(self.samples))
-        sd = np.sqrt(2 * mean)
-        if left - mean < self._settings["pair_excess_sigma"] * sd or not hypothesis.effects:
-            return float((left - mean) / sd)
+        if left - mean < self._settings["pair_excess_sigma"] * np.sqrt(2 * mean) or not hypothesis.effects:
+            return _beyond(left, mean, None)
+        train, held_out = self._noise_of(hypothesis)
+        return _beyond(left, mean, train + held_out)
+
+    def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
+        """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
+        train, held_out = (
+            _beyond(left, n, draws)
+            for left, n, draws in zip(hypothesis.chi2, self.samples, self._noise_of(hypothesis), strict=True)
+        )
+        return train, held_out
+
+    def _noise_of(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        """Chi-squared (draws,) of noise alone of both trials where the hypothesis is the truth."""
         key = hypothesis.key, hypothesis.z.tobytes()
         if key not in self._noise:
             parameters, x = self.pair.system.values(hypothesis.base), hypothesis.split()
             settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
-            draws = self.pair.train.noise_through(*settled) + self.pair.held_out.noise_through(*settled)
+            both = self.pair.train.noise_through(*settled), self.pair.held_out.noise_through(*settled)
             self.evaluations += 2 * BATCH
-            known = np.isfinite(draws).all()
-            self._noise[key] = (draws.mean(), draws.std()) if known else (mean, sd)
-        seen_mean, seen_sd = self._noise[key]
-        return float((left - max(mean, seen_mean)) / max(sd, seen_sd))
+            self._noise[key] = both
+        return self._noise[key]
 
     def is_noise(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis leaves nothing that a further effect has to explain."""
@@ -289,6 +299,14 @@ class Search:
             out.append(Screened(effects, cost, tangent.z + step, tangent))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
+
+
+def _beyond(left: float, expected: float, draws: np.ndarray | None) -> float:
+    """How far chi-squared is above what noise leaves, in SD of that: as expected, or as drawn where that is more."""
+    sd = float(np.sqrt(2 * expected))
+    if draws is None or not np.isfinite(draws).all():
+        return (left - expected) / sd
+    return float((left - max(expected, draws.mean())) / max(sd, draws.std()))
 
 
 def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.ndarray] | None:

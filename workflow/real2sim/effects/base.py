@@ -170,6 +170,11 @@ class Mechanism:
         The force has acted in the neutral trial too, where the rest pose was taken.
     law
         Class of the controller law that answers, between windows of the run, what the interface does.
+    linear
+        All it does is a planned force that is linear in the values and depends on measurements alone.
+    kinds
+        Kinds of the free-form families (`real2sim.effects.families`) that its force is a special case of; empty where
+        no family holds it.
     """
 
     order: int = 0
@@ -181,6 +186,8 @@ class Mechanism:
     moves_rest: bool = False
     acts_in_neutral: bool = False
     law: type[Law] | None = None
+    linear: bool = False
+    kinds: tuple[str, ...] = ()
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add elements to the plant."""
@@ -319,6 +326,11 @@ class Effect:
         if self.chains.of_measurement:
             return CHAIN
         return PLANNED if self.plant.planned else NATIVE
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of the free-form families that it is a special case of; empty where no family holds it."""
+        return ("measurement",) if self.stage in ("input", "output") else self.plant.kinds
 
     def fits(self, system: System) -> bool:
         """Whether a system offers what the effect needs."""

@@ -142,6 +142,8 @@ class Answer:
 class AnsweringForce(DrivenForce):
     """Forces of a controller law on joints of the base, computed between the windows of a run."""
 
+    kinds = ("place", "dissipative", "memory")
+
     def __init__(self, law: type[Law], joints: tuple[str, ...]):
         super().__init__(joints)
         self.law = law

@@ -38,12 +38,23 @@ _UNITS = {
     "place_y": ("m", 0.2),
     "heading": ("rad", 0.2),
 }
+# Orders of the polynomials of one variable: of an axis' own coordinate, and of anything else, alone or as a gain; a
+# prior that falls with the order makes rough ones rare
+OWN_ORDERS = (0, 2, 3, 4, 5, 6, 8)
+ORDERS = (1, 2, 3, 4, 5, 6)
+# Powers of two coordinates in their common potential; what is of one alone is a polynomial of `ALONE` orders
+POTENTIAL = tuple((i, k - i) for k in (2, 3, 4, 5) for i in range(k - 1, 0, -1))
+ALONE = (2, 3, 4, 5)
+# Fastest change of a force or gain of which nothing is known but that it is slow, and of a rhythm [Hz]
+FASTEST_HZ = 3.2
 # Joints of a base, each with the place that it moves along
 DRIVEN = (("base_x", "place_x"), ("base_y", "place_y"), ("base_yaw", "heading"))
 # Wave lengths [m] of forces that repeat along the way of a base: each tenth from tread and cogging to a wheel's turn
 PITCHES_M = tuple(0.008 * 1.1**k for k in range(44))
 POSTURE = ("pelvis_tilt", "pelvis_list", "pelvis_heading", "pelvis_height", "pelvis_speed")
 PLACE = ("place_x", "place_y", "heading")
+# Rates of a place
+RATES = {"place_x": "speed_x", "place_y": "speed_y", "heading": "heading_rate"}
 
 
 @dataclass(frozen=True)
@@ -106,7 +117,7 @@ def variables(
         moved = smooth(signals.derivative(out[name].values, rate))
         large = max(float(np.percentile(np.abs(moved), 95)), 1e-9)
         unit, scale = out[name].unit, out[name].scale
-        out[f"rate of {name}"] = Variable(f"rate of {name}", f"{unit}/s", scale * large, moved / large)
+        out[RATES[name]] = Variable(RATES[name], f"{unit}/s", scale * large, moved / large)
     passed = np.maximum(context.time_s - context.time_s[context.start], 0.0)
     out["time"] = Variable("time", "s", float(passed[-1]), passed / passed[-1])
     return out
@@ -147,6 +158,32 @@ def polynomial(name: str, order: int) -> Basis:
         x = (of[name].values - ranges[name].middle) / ranges[name].half
         inside = np.clip(x, -1, 1)
         return np.asarray(legendre.legval(inside, series) + legendre.legval(inside, slope) * (x - inside))
+
+    return basis
+
+
+def modulated(name: str, order: int, by: str) -> Basis:
+    """Return the product of a Legendre polynomial of one variable and another variable, each as it is alone."""
+    gain = polynomial(name, order)
+    return lambda of, ranges, step_s: gain(of, ranges, step_s) * ranges[by].clip(of[by].values)
+
+
+def cosine(half_turns: int, by: str = "") -> Basis:
+    """Return a cosine of half turns over the trial, alone or times a variable."""
+
+    def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
+        wave = np.cos(np.pi * half_turns * of["time"].values)
+        return wave * of[by].values if by else wave
+
+    return basis
+
+
+def rhythm(hz: float, shift: float, by: str = "") -> Basis:
+    """Return a sine of time of a frequency and a shift [1] of its turn, alone or times a variable."""
+
+    def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
+        wave = np.sin(2 * np.pi * (hz * of["time"].values * of["time"].scale + shift))
+        return wave * of[by].values if by else wave
 
     return basis
 
@@ -229,6 +266,7 @@ class Family:
     """A law of which only the place and the variables are said.
 
     ``terms`` hold, per coefficient, the basis functions that it multiplies: one, or one per joint for a potential.
+    ``each_trial``: every trial has coefficients of its own, since what drives the force was not recorded.
     """
 
     name: str
@@ -237,6 +275,7 @@ class Family:
     axes: tuple[str, ...]
     depends_on: tuple[str, ...]
     terms: tuple[tuple[Term, ...], ...] = field(repr=False)
+    each_trial: bool = False
 
     @property
     def key(self) -> str:
@@ -246,7 +285,11 @@ class Family:
 
 
 def families(
-    system: System, known: Sequence[str], force_of: Mapping[str, float], q_of: Mapping[str, float]
+    system: System,
+    known: Sequence[str],
+    force_of: Mapping[str, float],
+    q_of: Mapping[str, float],
+    longest_s: float,
 ) -> list[Family]:
     """Return all families of forces of a system.
 
@@ -256,11 +299,15 @@ def families(
         Names of the variables of the trials.
     force_of, q_of
         Large force [N, Nm] and large excursion [m, rad] by joint: units of a potential.
+    longest_s
+        Length of the longest trial [s], of which a history of `FASTEST_HZ` takes that many cosines.
     """
+    waves = range(int(np.ceil(2 * FASTEST_HZ * longest_s)) + 1)
     axes = [axis for axis in system.axes if f"q_{axis.name}" in known]
     out: list[Family] = []
     for axis in axes:
         out += _own(axis.name, axis.joint)
+        out += _of_time("interface", axis.name, axis.joint, waves, (f"q_{axis.name}", f"v_{axis.name}"))
         out += _modulated(axis.name, axis.joint, [n for n in (*POSTURE, *PLACE) if n in known])
     for a, b in combinations(axes, 2):
         units = tuple((force_of[x.joint], q_of[x.joint]) for x in (a, b))
@@ -270,6 +317,7 @@ def families(
     moved = [(j, n) for j, n in DRIVEN if n in known and j in system.machine_joints]
     for joint, name in moved:
         out += _machine(joint, name)
+        out += _of_time("robot", joint, joint, waves)
     return [*out, *_periodic([(j, n) for j, n in moved if n != "heading"])]
 
 
@@ -318,19 +366,28 @@ def _one(terms: Sequence[Term]) -> tuple[tuple[Term, ...], ...]:
 def _own(axis: str, joint: str) -> Iterator[Family]:
     """Families of an axis' own coordinate and rate."""
     q, v = f"q_{axis}", f"v_{axis}"
-    elastic = [_legendre(q, joint, k, 1 / max(k - 1, 1)) for k in (0, 2, 3, 4, 5, 6, 8)]
+    elastic = [_legendre(q, joint, k) for k in OWN_ORDERS]
     yield Family("elastic", "interface", "elastic", (axis,), (q,), _one(elastic))
     lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), times(joint, {v: 3}, weight=0.5)]
     yield Family("dissipative", "interface", "dissipative", (axis,), (v,), _one(lossy))
-    both = [times(joint, {q: i, v: 1}, weight=1 / i) for i in (1, 2, 3, 4)]
-    both += [times(joint, {q: 1}, [v], 0.5)]
+    both = [*_gains(q, joint, v), times(joint, {q: 1}, [v], 0.5)]
     yield Family("damping by coordinate", "interface", "damping by coordinate", (axis,), (q, v), _one(both))
     yield from _with_history("interface", axis, joint, q)
 
 
-def _legendre(name: str, joint: str, order: int, weight: float) -> Term:
+def _gains(name: str, joint: str, by: str) -> list[Term]:
+    """Return a function of one variable times another variable."""
+    return [Term(f"P{k}({name}) {by}", joint, modulated(name, k, by), _smooth(k)) for k in ORDERS]
+
+
+def _smooth(order: int) -> float:
+    """Prior SD of a coefficient of an order: each has the same slope at the edge, from where it goes straight on."""
+    return 2 / (order * (order + 1)) if order else 1.0
+
+
+def _legendre(name: str, joint: str, order: int) -> Term:
     label = f"P{order}({name})" if order else "constant"
-    return Term(label, joint, polynomial(name, order), weight)
+    return Term(label, joint, polynomial(name, order), _smooth(order))
 
 
 def _steps(v: str, joint: str) -> list[Term]:
@@ -344,11 +401,11 @@ def _with_history(stage: str, axis: str, joint: str, q: str) -> Iterator[Family]
     yield Family("memory", stage, "memory", (axis,), (f"history of {q}",), _one(slow))
     play = [Term(f"{q} slipping at {w:g} of half its range", joint, stopped(q, w)) for w in WIDTHS]
     yield Family("hysteresis", stage, "hysteresis", (axis,), (f"history of {q}",), _one(play))
-    drift = [times(joint, {"time": k}, weight=1 / k) for k in (1, 2, 3, 4)]
+    drift = [_legendre("time", joint, k) for k in ORDERS]
     yield Family("drift", stage, "slow change", (axis,), ("time",), _one(drift))
     if stage == "interface":
         v = f"v_{axis}"
-        gain = [times(joint, {"time": k, x: 1}, weight=1 / k) for x in (q, v) for k in (1, 2, 3)]
+        gain = [*_gains("time", joint, q), *_gains("time", joint, v)]
         yield Family("gain in time", stage, "slow change", (axis,), ("time", q), _one(gain))
 
 
@@ -357,9 +414,9 @@ def _modulated(axis: str, joint: str, names: Sequence[str]) -> Iterator[Family]:
     q, v = f"q_{axis}", f"v_{axis}"
     for name in names:
         kind = "posture" if name in POSTURE else "place"
-        alone = [_legendre(name, joint, k, 1 / k) for k in (1, 2, 3, 4)]
+        alone = [_legendre(name, joint, k) for k in ORDERS]
         yield Family(kind, "interface", kind, (axis,), (name,), _one(alone))
-        gain = [times(joint, {name: k, x: 1}, weight=1 / k) for x in (q, v) for k in (1, 2, 3)]
+        gain = [*_gains(name, joint, q), *_gains(name, joint, v)]
         yield Family(f"gain by {kind}", "interface", kind, (axis,), (name, q), _one(gain))
 
 
@@ -370,8 +427,8 @@ def _potential(
     a, b = (f"q_{axis}" for axis in axes)
     energy = float(np.sqrt(np.prod([f * x for f, x in units])))
     factor = [energy / (f * x) for f, x in units]
-    terms = []
-    for i, j in ((1, 1), (2, 1), (1, 2), (3, 1), (2, 2), (1, 3)):
+    terms: list[tuple[Term, ...]] = []
+    for i, j in POTENTIAL:
         weight = 1 / (i + j - 1)
         terms.append(
             (
@@ -379,27 +436,53 @@ def _potential(
                 times(joints[1], {a: i, b: j - 1}, (), weight, j * factor[1]),
             )
         )
+    for name, joint in zip((a, b), joints, strict=True):
+        terms += [(_legendre(name, joint, k),) for k in ALONE]
     return Family("elastic coupling", "interface", "elastic coupling", axes, (a, b), tuple(terms))
 
 
 def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:
     """Families of another axis' coordinate or rate, without a potential."""
     q, v, qo, vo = f"q_{axis}", f"v_{axis}", f"q_{other}", f"v_{other}"
-    elastic = [_legendre(qo, joint, k, 1 / k) for k in (1, 2, 3, 4)]
+    elastic = [_legendre(qo, joint, k) for k in ORDERS]
     yield Family("from a coordinate", "interface", "coupling", (axis,), (qo,), _one(elastic))
     lossy = [times(joint, {vo: 1}), times(joint, {vo: 1}, [vo], 0.5), _steps(vo, joint)[1]]
     yield Family("from a rate", "interface", "coupling", (axis,), (vo,), _one(lossy))
-    gain = [times(joint, {qo: k, v: 1}, weight=1 / k) for k in (1, 2, 3)]
+    gain = _gains(qo, joint, v)
     yield Family("damping by another coordinate", "interface", "coupling", (axis,), (qo, v), _one(gain))
     swept = [times(joint, {q: 1, vo: 1}), times(joint, {q: 2, vo: 1}, weight=0.5), times(joint, {v: 1}, [vo])]
     yield Family("by another rate", "interface", "coupling", (axis,), (q, vo), _one(swept))
 
 
+def _of_time(
+    stage: str, axis: str, joint: str, waves: Sequence[int], gained: Sequence[str] = ()
+) -> Iterator[Family]:
+    """Families of a force from outside, or of a gain of some variables, whose history is another in every trial."""
+    alone = [Term(f"cos({k} pi time)" if k else "constant", joint, cosine(k)) for k in waves]
+    yield Family("external force", stage, "external force", (axis,), ("time",), _one(alone), each_trial=True)
+    for by in gained:
+        # a constant gain is stiffness or damping
+        gain = [Term(f"cos({k} pi time) {by}", joint, cosine(k, by)) for k in waves if k]
+        yield Family(
+            "gain by history", stage, "slow change", (axis,), ("time", by), _one(gain), each_trial=True
+        )
+
+
+def with_rhythm(of: Family, hz: float) -> Family:
+    """Return the force or gain of a frequency, and of any phase in each trial, in place of a free history."""
+    joint, by = of.terms[0][0].joint, of.depends_on[1] if len(of.depends_on) > 1 else ""
+    waves = (("sin", 0.0), ("cos", 0.25))
+    terms = [Term(f"{wave}({hz:.3f} Hz) {by}".strip(), joint, rhythm(hz, shift, by)) for wave, shift in waves]
+    return Family(
+        f"rhythm of {hz:.3f} Hz", of.stage, "rhythm", of.axes, of.depends_on, _one(terms), each_trial=True
+    )
+
+
 def _machine(joint: str, name: str) -> Iterator[Family]:
     """Families of forces on a joint of the machine."""
-    place = [_legendre(name, joint, k, 1 / max(k, 1)) for k in (0, 1, 2, 3, 4, 5, 6)]
-    yield Family("machine elastic", "robot", "elastic", (joint,), (name,), _one(place))
-    rate = f"rate of {name}"
+    place = [_legendre(name, joint, k) for k in (0, *ORDERS)]
+    yield Family("machine place", "robot", "place", (joint,), (name,), _one(place))
+    rate = RATES[name]
     lossy = [*_steps(rate, joint), times(joint, {rate: 1}), times(joint, {rate: 1}, [rate])]
     yield Family("machine dissipative", "robot", "dissipative", (joint,), (rate,), _one(lossy))
     yield from _with_history("robot", joint, joint, name)

@@ -31,7 +31,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"base"}),
-        plant=PlannedForce(tilt, BASE_JOINTS[:2]),
+        plant=PlannedForce(tilt, BASE_JOINTS[:2], ("place",)),
         remedy=_SLOPING_FLOOR,
     ),
     Effect(
@@ -45,7 +45,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"base", "pose"}),
-        plant=StandingForce(tilt, BASE_JOINTS[:2]),
+        plant=StandingForce(tilt, BASE_JOINTS[:2], ("place",)),
         form="always",
         remedy=_SLOPING_FLOOR,
     ),

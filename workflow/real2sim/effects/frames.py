@@ -50,6 +50,8 @@ def _set_product(fields: Fields, ending: str, field: str, values: np.ndarray) ->
 class Coupling(Mechanism):
     """Off-diagonal stiffness or damping between two axes, value (m, 1), the diagonal left alone."""
 
+    kinds = ("elastic coupling", "coupling")
+
     def __init__(self, name: str):
         self._field = name
 
@@ -66,6 +68,8 @@ class Coupling(Mechanism):
 class TurnedAxes(Mechanism):
     """All axes turned by a rotation vector, values (m, 3) [rad]."""
 
+    kinds = ("elastic coupling", "coupling")
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Turn the axis of each joint."""
         turn = Rotation.from_rotvec(values).as_matrix()
@@ -81,6 +85,7 @@ class TurnedLaw(Mechanism):
     top of whatever law an axis follows.
     """
 
+    kinds = ("elastic coupling", "coupling")
     _blocks = ((0, 1, 2), (3, 4, 5))
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
@@ -118,6 +123,7 @@ def segment_at_rest(model: mujoco.MjModel, segment: str) -> np.ndarray:
 class RestShift(Mechanism):
     """The axis rests elsewhere, with all laws that it follows: value (m, 1). Set after other effects."""
 
+    kinds = ("elastic",)
     order = 1
     moves_rest = True
 

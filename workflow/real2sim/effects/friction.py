@@ -32,6 +32,7 @@ class DryFriction(Mechanism):
     The constraint is made as hard as MuJoCo allows; its default lets the joint creep.
     """
 
+    kinds = ("dissipative", "hysteresis")
     sticks = True
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
@@ -83,6 +84,7 @@ class SmoothFriction(Mechanism):
     Dampers that saturate, whose sum runs along the tangent hyperbolic: it creeps where dry friction holds.
     """
 
+    kinds = ("dissipative", "hysteresis")
     substeps = 4
     _parts = 3
 
@@ -120,6 +122,7 @@ class Bristles(Mechanism):
     Source: Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995) 419.
     """
 
+    kinds = ("dissipative", "hysteresis")
     substeps = 4
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:

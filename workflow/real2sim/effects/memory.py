@@ -36,6 +36,8 @@ class Elastoplastic(Mechanism):
     1 - exp(-x / travel), as the Bouc-Wen law of exponent 1 does, with Masing's memory of reversals.
     """
 
+    kinds = ("hysteresis",)
+
     def __init__(self, elements: int):
         self.travels = -np.log(1 - (np.arange(elements) + 0.5) / elements)
 
@@ -85,6 +87,8 @@ class Maxwell(Mechanism):
     tied to the joint by a tendon.
     """
 
+    kinds = ("memory", "slow change")
+
     def __init__(self, branches: int = 1, ratio: float = 1.0):
         self._ratios = ratio ** np.arange(branches)
 
@@ -131,6 +135,8 @@ class BoucWen(DrivenForce):
     planned, a stiff element would turn that coordinate's noise into force, and hold nothing in the simulation.
     """
 
+    kinds = ("hysteresis",)
+
     def __init__(self, elements: int):
         super().__init__()
         self._springs = Elastoplastic(elements)
@@ -170,6 +176,8 @@ class FlowingMaxwell(DrivenForce):
     MuJoCo has no such dashpot. A linear one of the same time constant follows the simulated motion; the difference of
     the law from it is planned along the measured coordinate.
     """
+
+    kinds = ("memory",)
 
     def __init__(self) -> None:
         super().__init__()

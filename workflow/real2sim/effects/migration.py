@@ -66,7 +66,7 @@ EFFECTS = (
         confusable=DRIFTS,
         group="Dft",
         scope="side",
-        plant=PlannedForce(ratchet),
+        plant=PlannedForce(ratchet, kinds=("memory", "hysteresis", "slow change")),
         remedy=(
             "Add a force k r to the strap joint on its side, k its stiffness: r follows q - threshold at the rate"
             " while the strap is beyond it, and never returns"
@@ -81,7 +81,7 @@ EFFECTS = (
         at_rest=AtRest((0.0,)),
         confusable=DRIFTS,
         group="Dft",
-        plant=PlannedForce(wandering),
+        plant=PlannedForce(wandering, kinds=("memory", "hysteresis", "slow change")),
         form="_steady",
         remedy="Add a force k rate t to the strap joint, k its stiffness, t from where the person starts to move",
     ),
@@ -97,7 +97,7 @@ EFFECTS = (
         at_rest=AtRest((0.0, 3.0)),
         confusable=DRIFTS,
         group="Dft",
-        plant=PlannedForce(settling),
+        plant=PlannedForce(settling, kinds=("memory", "hysteresis", "slow change")),
         form="_settling",
         remedy=(
             "Add a force k way (1 - exp(-t / time_constant)) to the strap joint, k its stiffness, t from where the"

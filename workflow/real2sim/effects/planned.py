@@ -42,18 +42,30 @@ class DrivenForce(Mechanism):
 class PlannedForce(DrivenForce):
     """Forces that are planned before the simulation from measurements.
 
-    ``plan`` maps values (m, p), context, place and the interface's impedance to forces (m, steps, j) [N, Nm].
+    ``plan`` maps values (m, p), context, place and the interface's impedance to forces (m, steps, j) [N, Nm];
+    ``kinds`` as of `Mechanism`.
     """
 
-    def __init__(self, plan: Callable[..., np.ndarray], joints: tuple[str, ...] | None = None):
+    def __init__(
+        self,
+        plan: Callable[..., np.ndarray],
+        joints: tuple[str, ...] | None = None,
+        kinds: tuple[str, ...] = (),
+    ):
         super().__init__(joints)
-        self._plan = plan
+        self._plan, self.kinds = plan, kinds
 
     def force(
         self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
     ) -> np.ndarray:
         """Return the planned forces."""
         return self._plan(values, context, where, impedance)
+
+
+class FamilyForce(PlannedForce):
+    """A planned force that is linear in its values and depends on measurements alone."""
+
+    linear = True
 
 
 class StandingForce(PlannedForce):

@@ -17,6 +17,7 @@ from real2sim.effects.controller import Answer
 from real2sim.effects.frames import move_rest
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.linear import Linearised
 from real2sim.system.plant import RestPose, robot_pose_for
 from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 
@@ -489,6 +490,26 @@ class EffectReplay(Replay):
         stretch = np.linalg.solve(stiffness, pulled[..., None])[..., 0] @ follow.T
         for axis in range(len(self._dofs)):
             move_rest(fields, axis, -stretch[:, axis])
+
+    def linearised(self) -> Linearised | None:
+        """Return the last call's first simulation as a linear system; None where forces do not act linearly.
+
+        Something sticks, stops, answers the interface, stands at rest by forces or is seen otherwise than it is.
+        """
+        seen = any(
+            p.effect.chains.output or p.effect.chains.log or p.effect.chains.observation for p in self.effects
+        )
+        rough = self._frictional or self._stopped or self._settled or self._standing or self._laws
+        return None if seen or rough else Linearised(self.as_simulated(), self.stride)
+
+    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
+
+        Paths (p, n, 2, 3) [m] and joints (p, n, 6) [m, rad].
+        """
+        sensors = linear.sensors(forces, self._columns_of[effect])
+        paths = sensors[:, :, self._columns]
+        return paths.reshape(*paths.shape[:2], 2, 3), sensors[:, :, self._robot_columns]
 
     def as_simulated(self) -> Simulated:
         """As of `Replay`; what relaxes starts where it has done so."""

@@ -27,6 +27,8 @@ LOADS = ("added_mass", "base_compliance", "controller_reaction")
 class RobotImpedance(Mechanism):
     """Other impedance of the robot's joints than configured: ln-factors on stiffness and damping of some joints."""
 
+    kinds = ("place", "dissipative")
+
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
 
@@ -47,6 +49,8 @@ class RobotImpedance(Mechanism):
 class JointImpedance(Mechanism):
     """`RobotImpedance` of the one joint of the machine that it is placed at: ln-factors on stiffness and damping."""
 
+    kinds = ("place", "dissipative")
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Scale."""
         RobotImpedance((where.machine_joint,)).set(fields, where, impedance, values)
@@ -54,6 +58,8 @@ class JointImpedance(Mechanism):
 
 class PassiveDamping(Mechanism):
     """All joints of the machine without a controller damped by one factor, whose logarithm is the value (m, 1)."""
+
+    kinds = ("dissipative",)
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Scale."""
@@ -68,6 +74,8 @@ class RobotRelaxation(Mechanism):
 
     Values are ln of the branches' stiffness in units of the configured one, joint by joint, and a time constant.
     """
+
+    kinds = ("memory",)
 
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
@@ -95,6 +103,8 @@ class YieldBeyondWheels(Mechanism):
     Values are ln of the springs' stiffness in units of the configured one, joint by joint. The wheels are hidden slides
     in that impedance, and the log shows these.
     """
+
+    kinds = ("place", "dissipative")
 
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
@@ -181,6 +191,8 @@ class Rocking(Mechanism):
     that rock beside the arm [kg m2]. The hinges are hidden and carry the arm.
     """
 
+    kinds = ("place", "dissipative")
+
     def _names(self, where: Where) -> list[str]:
         return [f"rocking_{axis}_{where.element}" for axis in ("roll", "pitch")]
 
@@ -207,6 +219,8 @@ class Bending(Mechanism):
     Values (m, 3) are stiffness along x and y [N/m] and time constant of the damping [s]. The slides are hidden and
     carry the arm.
     """
+
+    kinds = ("place", "dissipative")
 
     def _names(self, where: Where) -> list[str]:
         return [f"bending_{axis}_{where.element}" for axis in "xy"]

@@ -38,6 +38,7 @@ class SplitSpring(Mechanism):
     ``shape`` maps values (m, p) to (low, high, factor of the lower, factor of the upper stiffness), each (m,).
     """
 
+    kinds = ("elastic",)
     replaces_spring = True
 
     def __init__(self, shape: Callable[[np.ndarray, Where], tuple[Share, Share, Share, Share]]):
@@ -70,6 +71,7 @@ class SoftDeadBand(Mechanism):
     belt takes up its load little by little.
     """
 
+    kinds = ("elastic",)
     replaces_spring = True
 
     _PARTS = (-1.0, 0.0, 1.0)
@@ -96,6 +98,7 @@ class SoftDeadBand(Mechanism):
 class OneSided(Mechanism):
     """A share of the axis' spring pulls to one side alone, beyond a coordinate: values are place and share, (m, 2)."""
 
+    kinds = ("elastic",)
     replaces_spring = True
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
@@ -119,6 +122,7 @@ class Polynomial(Mechanism):
 
     def __init__(self, name: str, term: int):
         self._name, self._term = name, term
+        self.kinds = ("elastic",) if name.startswith("jnt") else ("dissipative",)
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write the coefficient."""
@@ -135,6 +139,7 @@ class ExponentialSpring(Mechanism):
     up to 6 L.
     """
 
+    kinds = ("elastic",)
     _KNOTS = np.array([0.15, 0.5, 1.0, 2.0, 3.2, 4.5])
 
     def __init__(self) -> None:
@@ -177,6 +182,8 @@ class EvenSpring(Mechanism):
     Without an end the polynomial alone would make the interface lose all stiffness on one side.
     """
 
+    kinds = ("elastic",)
+
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one fixed tendon over the joint."""
         joint = {where.joint(): 1.0}
@@ -200,6 +207,7 @@ class LooseDamper(DrivenForce):
     strap is loose; the simulated motion is damped.
     """
 
+    kinds = ("elastic", "damping by coordinate")
     replaces_spring = True
 
     def __init__(

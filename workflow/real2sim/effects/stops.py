@@ -33,6 +33,7 @@ class Stop(Mechanism):
     The limit of a tendon, so that the damper does not pull back. Its stiffness is limited to what the time step allows.
     """
 
+    kinds = ("elastic",)
     weighed = True
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
@@ -62,6 +63,8 @@ class Stop(Mechanism):
 class GentleStop(Mechanism):
     """A stop that begins gently, with the square of the distance beyond: values are place and curvature, (m, 2)."""
 
+    kinds = ("elastic",)
+
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one tendon over the joint, its dead band without an end."""
         joint = {where.joint(): 1.0}
@@ -78,6 +81,8 @@ class GentleStop(Mechanism):
 
 class GentleStops(Mechanism):
     """Stops on both sides that begin with the cube of the distance beyond: values are clearance and cubic, (m, 2)."""
+
+    kinds = ("elastic",)
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:
         """Add one tendon over the joint, whose dead band is the clearance."""

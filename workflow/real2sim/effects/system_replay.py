@@ -16,6 +16,7 @@ from real2sim.system.batches import untimed_batch
 from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
 from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
+from real2sim.system.linear import Linearised
 from real2sim.system.plant import RestPose, compiled
 from real2sim.system.replay import Simulated, servo_command
 
@@ -199,6 +200,27 @@ class SystemReplay:
             if placed.effect.chains.log is not None and len(done):
                 logs[done] = placed.effect.chains.log(logs[done], value[done], self._context)
         return paths, logs
+
+    def linearised(self) -> Linearised | None:
+        """Return the last call's first simulation as a linear system; None where forces do not act linearly.
+
+        Something sticks, stops, stands at rest by forces or is seen otherwise than it is.
+        """
+        chains = [p.effect.chains for p in self.effects]
+        seen = any(c.output is not None or c.log is not None for c in chains)
+        seen = seen or any(o.quantity == "force" for o in self._setup.system.outputs)
+        rough = self._sticks or self._setup.settled or any(p.effect.plant.weighed for p in self.effects)
+        return None if seen or rough else Linearised(self.as_simulated(), self._setup.stride)
+
+    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
+
+        Observations (p, n, c) and log (p, n, j).
+        """
+        placed = self.effects[effect]
+        sensors = linear.sensors(forces, placed.effect.plant.columns(self.model, placed.where))
+        n = self.channels.observed
+        return sensors[:, :, :n], sensors[:, :, n:]
 
     def as_simulated(self) -> Simulated:
         """Return model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""

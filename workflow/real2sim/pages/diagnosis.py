@@ -18,7 +18,7 @@ from real2sim.artefacts import read_json, write_table
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
-from real2sim.pages.law import law_section
+from real2sim.pages.law import law_section, misfit_sentence
 from real2sim.pages.page import (
     bar,
     document,
@@ -48,6 +48,7 @@ COLUMNS = (
     "J_floor",
     "J_with_effect",
     "gap_closed",
+    "misfit_sd",
     "next_trial",
     "train",
     "held_out",
@@ -116,7 +117,8 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     """Write one row per person: verdict, probability, stage, axes, J with and without the effect, next trial.
 
     Costs J, probability and gap_closed (share of J above its floor) have no unit. ``stage`` and ``axes`` are empty
-    where the verdict is none, ``gap_closed`` also where it is unknown.
+    where the verdict is none, ``gap_closed`` also where it is unknown. ``misfit_sd`` is what a named cause leaves of
+    the held-out trial, in standard deviations of noise, where its form is not right.
     """
     rows = []
     for path in diagnoses:
@@ -134,6 +136,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
                 "J_floor": gap["J_floor"],
                 "J_with_effect": gap["J_with_effect"],
                 "gap_closed": _closed(gap) if named else None,
+                "misfit_sd": _misfit_sd(d),
                 "next_trial": d["next_trial"],
                 "train": " ".join(d["train"]),
                 "held_out": " ".join(d["held_out"]),
@@ -144,6 +147,11 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
             }
         )
     write_table(out, COLUMNS, rows)
+
+
+def _misfit_sd(d: Mapping[str, Any]) -> float | None:
+    misfit = d.get("misfit")
+    return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
 
 
 def digest(d: Mapping[str, Any]) -> str:
@@ -213,7 +221,8 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 
 def _lead(d: Mapping[str, Any]) -> list[str]:
     parts = [paragraph(_verdict(d), "lead")]
-    parts += [paragraph(text) for text in (_spectral(d), _exchanged(d), _hold(d))]
+    misfit = misfit_sentence(d.get("misfit"))
+    parts += [paragraph(text) for text in (misfit, _spectral(d), _exchanged(d), _hold(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
     for trial, gates in d["refused_gates"].items():
         what = (

@@ -23,6 +23,9 @@ _VARIABLES = {
     "place_x": "the robot's place along x",
     "place_y": "the robot's place along y",
     "heading": "the robot's heading",
+    "speed_x": "the robot's speed along x",
+    "speed_y": "the robot's speed along y",
+    "heading_rate": "the rate of the robot's heading",
     "rate": "the rate of the path",
     "time": "time",
 }
@@ -69,11 +72,28 @@ def sentence(law: Mapping[str, Any]) -> str:
     )
 
 
+def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
+    """Return what a named cause leaves, nothing where that is no more than noise; ``misfit`` is of diagnosis.json."""
+    if misfit is None or not misfit["marked"]:
+        return ""
+    fitted, held_out = (rounded(x, 2) for x in misfit["left_sd"])
+    text = (
+        f"It is named, but its form is not right: {fitted} (fitted trial) and {held_out} (held-out trial) standard "
+        "deviations of noise are left"
+    )
+    law = misfit["law"]
+    if law is None:
+        return f"{text}, which no law of one kind explains."
+    on = " and ".join(_words(name) for name in law["depends_on"])
+    size = (
+        "a force" if law["size"] is None else f"{rounded(law['size']['rms'], 2)} {law['size']['unit']} (RMS)"
+    )
+    return f"{text}: {size} along {' and '.join(law['axes'])} that depends on {on} ({law['kind']})."
+
+
 def _words(name: str) -> str:
     if name.startswith("history of "):
         return f"the history of {_words(name.removeprefix('history of '))}"
-    if name.startswith("rate of "):
-        return f"the rate of {_words(name.removeprefix('rate of '))}"
     return _VARIABLES.get(name, name)
 
 

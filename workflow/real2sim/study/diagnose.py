@@ -135,8 +135,8 @@ def diagnose(
     )
     if outcome.found.pair.exchanged or outcome.the_other_way:
         train, held_out = held_out, train
-    progress(f"verdict {outcome.decision.verdict}")
     result = answer(outcome, settings, progress)
+    progress(f"verdict {result.verdict}")
     if traces is not None:
         _write_traces(traces, result)
     about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)

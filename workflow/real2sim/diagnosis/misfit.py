@@ -1,0 +1,116 @@
+"""Does the named cause fit? What it leaves beyond noise, and whether a law without a name fits better.
+
+The probability of a name says that it is likelier than the other names. It may be the likeliest and yet leave many
+standard deviations: its form is wrong, or it only imitates the cause. Where a named set leaves more than noise, laws of
+which only place and variables are said (`free_form`) are measured without it. One that acts elsewhere, or depends on
+something else, competes with the names, and its probability counts for `unknown`. One of the kind and place of a named
+effect says that the name is right and its equation is not; then a family is fitted on top and tells what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from real2sim.diagnosis.attribute import Attribution
+from real2sim.diagnosis.decide import Candidate, Decision, decide
+from real2sim.diagnosis.free_form import Law, Measured, measure
+from real2sim.diagnosis.law import named_family, size
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Search
+from real2sim.diagnosis.trials import Found, candidates_of
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What a named set leaves.
+
+    ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
+    ``share``: of what the plain plant leaves beyond noise, on both trials. ``measured`` are the laws without a name,
+    None where nothing is left that they could explain; ``law`` is the family that explains most beside the set.
+    """
+
+    sd: tuple[float, float]
+    share: float
+    marked: bool
+    measured: Measured | None = None
+    law: Law | None = None
+
+    def to_dict(self, found: Found) -> dict[str, Any]:
+        """Return the entry ``misfit`` of diagnosis.json."""
+        about = None
+        if self.law is not None and self.measured is not None:
+            about = named_family(self.law.families[0])
+            about |= {
+                "size": size(found.pair, self.law, self.measured.library),
+                "chi2": list(self.law.hypothesis.chi2),
+            }
+        return {"marked": self.marked, "left_sd": list(self.sd), "left_share": self.share, "law": about}
+
+
+def misfit_of(
+    found: Found, named: Hypothesis, options: DiagnosisSettings, progress: Callable[[str], None]
+) -> Misfit:
+    """Return what a named set leaves; laws are measured where that is more than noise.
+
+    ``options`` is the slice ``diagnosis`` of the configuration.
+    """
+    search, plain = Search(found.pair, options["search"]), found.attribution.plain
+    total = sum(search.samples)
+    share = (sum(named.chi2) - total) / max(sum(plain.chi2) - total, float(np.sqrt(2 * total)))
+    sd = search.excess_of_trials(named)
+    if search.is_noise(named):
+        return Misfit(sd, share, marked=False)
+    progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: is its form right?")
+    measured = measure(
+        found.pair, plain, named.base, search, options["free_form"], options["search"], progress
+    )
+    return Misfit(sd, share, marked=True, measured=measured)
+
+
+def told_apart(
+    misfit: Misfit, found: Found, decision: Decision, options: DiagnosisSettings
+) -> tuple[Decision, Misfit]:
+    """Return the decision with the measured law among the candidates, and the misfit with the law beside the set.
+
+    A law of the kind and place of a named effect does not compete: it is that effect with another equation.
+    """
+    named = chosen(found.attribution, decision)
+    if misfit.measured is None or not misfit.measured.laws:
+        return decision, misfit
+    law = misfit.measured.laws[0]
+    if not is_kin(law, named):
+        plain, sets = candidates_of(found.attribution, options)
+        rival = Candidate(
+            tuple(f.key for f in law.families), law.parameters, law.hypothesis.chi2, makeshift=True
+        )
+        with_rival = decide(plain, [*sets, rival], found.attribution.samples, options["calibration"])
+        decision = replace(with_rival, sets=with_rival.sets[:-1])
+        if decision.chosen is None:
+            return decision, misfit
+    free = options["free_form"]
+    share = options["search"]["grow_share"]
+    beside = misfit.measured.on_top(named, free["promising"], free["most"], share)
+    return decision, replace(misfit, law=beside)
+
+
+def is_kin(law: Law, named: Hypothesis) -> bool:
+    """Return whether the first family of a law has the kind, stage and an axis of one of the named effects."""
+    family = law.families[0]
+    return any(
+        family.stage == p.effect.stage
+        and family.kind in p.effect.kinds
+        and (not p.axes or bool(set(p.axes) & set(family.axes)))
+        for p in named.effects
+    )
+
+
+def chosen(attribution: Attribution, decision: Decision) -> Hypothesis:
+    """Return the fit that a decision rests on: the plain one where nothing is named."""
+    return attribution.plain if decision.chosen is None else attribution.hypotheses[decision.chosen]

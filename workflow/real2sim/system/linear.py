@@ -1,0 +1,68 @@
+"""What small forces do to a simulation: a linear system that varies along the simulated motion.
+
+MuJoCo gives state and sensors of one step as a linear function of state and control (`mjd_transitionFD`). Along the
+motion of a simulation these matrices are the exact slope by any history of forces, so that thousands of histories cost
+a matrix product a step instead of a simulation each.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from real2sim.system.replay import Simulated
+
+# Step of the finite differences of MuJoCo [SI of state and control]
+_STEP = 1e-6
+# Forces that are followed side by side: as many as stay in the processor's cache
+_CHUNK = 256
+
+
+class Linearised:
+    """A simulation, linearised along its motion.
+
+    ``simulated`` is the simulation; ``stride`` steps make a sample; the matrices are taken anew every ``every`` steps.
+    """
+
+    def __init__(self, simulated: Simulated, stride: int, every: int = 4):
+        self._model, self._stride, self._every = simulated.model, stride, every
+        self._steps = len(simulated.control)
+        model = simulated.model
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = simulated.position, simulated.velocity
+        n = 2 * model.nv + model.na
+        a, b = np.zeros((n, n)), np.zeros((n, model.nu))
+        c, d = np.zeros((model.nsensordata, n)), np.zeros((model.nsensordata, model.nu))
+        self._a, self._b, self._c = [], [], []
+        for k, control in enumerate(simulated.control):
+            data.ctrl[:] = control
+            if k % every == 0:
+                mujoco.mjd_transitionFD(model, data, _STEP, True, a, b, c, d)
+                self._a.append(a.copy())
+                self._b.append(b.copy())
+                self._c.append(c.copy())
+            mujoco.mj_step(model, data)
+
+    def sensors(self, forces: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the sensors (p, n, s) by forces (p, n, j) at the samples of motors (j,).
+
+        Between samples a force goes straight.
+        """
+        parts = [self._some(forces[i : i + _CHUNK], columns) for i in range(0, len(forces), _CHUNK)]
+        return np.concatenate(parts) if parts else np.zeros((0, 0, self._model.nsensordata))
+
+    def _some(self, forces: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        by_sample = np.ascontiguousarray(np.moveaxis(forces, 0, 2))
+        last = len(by_sample) - 1
+        state = np.zeros((2 * self._model.nv + self._model.na, len(forces)))
+        out = np.empty((-(-self._steps // self._stride), self._model.nsensordata, len(forces)))
+        for k in range(self._steps):
+            i, (sample, part) = k // self._every, divmod(k, self._stride)
+            if part == 0:
+                out[sample] = self._c[i] @ state
+            share = part / self._stride
+            now = by_sample[min(sample, last)]
+            if part and sample < last:
+                now = (1 - share) * now + share * by_sample[sample + 1]
+            state = self._a[i] @ state + self._b[i][:, columns] @ now
+        return np.moveaxis(out, 2, 0)

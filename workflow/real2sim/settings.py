@@ -720,6 +720,7 @@ DiagnosisReportSettings = TypedDict(
         "smallest_gap": float,
         "axis_share": float,
         "next_trial_certain": float,
+        "visible": list[str],
     },
 )
 

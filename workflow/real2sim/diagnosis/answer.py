@@ -18,6 +18,7 @@ from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Outcome, conclude
+from real2sim.diagnosis.visible import could_have_shown
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.noise_floor import block_bootstrap_mean
@@ -85,13 +86,15 @@ class Fits:
 
 @dataclass(frozen=True)
 class Beyond:
-    """What an answer says beyond names: the law where none fits, and what a named cause leaves; sections of the file.
+    """What an answer says beyond names; sections of diagnosis.json, each None where it does not apply.
 
-    Each is None where it does not apply.
+    ``free_form`` is the measured law where no name fits, ``misfit`` what a named cause leaves, ``could_show`` from
+    which size effects would have been seen where there is `none`.
     """
 
     free_form: dict[str, Any] | None = None
     misfit: dict[str, Any] | None = None
+    could_show: list[dict[str, Any]] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ class Diagnosis:
             "otherwise": self.otherwise,
             "free_form": self.beyond.free_form,
             "misfit": self.beyond.misfit,
+            "could_show": self.beyond.could_show,
             "noise_floor": self.noise_floor,
             "gap": self.gap,
             "where": self.where,
@@ -328,8 +332,9 @@ class _Account:
         shown = self._pair.shown
         stages = _stages(self._attribution, self._decision)
         explained = simulate(shown, self._pair, self._best) if named else None
+        placed = [p for p in self._best.effects if p.effect.name == self._decision.verdict]
         return {
-            "stage": max(stages, key=lambda s: stages[s]),
+            "stage": placed[0].effect.stage if placed else max(stages, key=lambda s: stages[s]),
             "stages": stages,
             "axes": _axes(self._best, shown.axis_shares(self._plain_path), self._report["axis_share"]),
         } | shown.locate(self._plain_path, explained)
@@ -403,7 +408,11 @@ class _Account:
         )
 
     def beyond(self, misfit: Misfit | None, progress: Callable[[str], None]) -> Beyond:
-        """Return the measured law of an unknown cause, and what a named one leaves (``misfit``)."""
+        """Return the law of an unknown cause, what a named one leaves (``misfit``), what `none` would have shown."""
+        if self._decision.verdict == NONE:
+            progress("none: from which size would effects have been seen?")
+            plain = self._attribution.plain
+            return Beyond(could_show=could_have_shown(self._pair, plain, self._settings["diagnosis"]))
         if self._decision.verdict == UNKNOWN:
             measured = misfit.measured if misfit is not None else None
             return Beyond(free_form=self._free_form(measured, progress))

@@ -30,8 +30,9 @@ ISOLATED = ("outliers",)
 class Candidate:
     """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials.
 
-    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are
-    what such a cause looks like as often as themselves.
+    ``places`` say where each effect acts and in which form, as strings; names where they are empty. ``makeshift``:
+    together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are what such a
+    cause looks like as often as themselves.
     """
 
     names: tuple[str, ...]
@@ -39,6 +40,12 @@ class Candidate:
     chi2: tuple[float, float]
     makeshift: bool = False
     doubtful: bool = False
+    places: tuple[str, ...] = ()
+
+    @property
+    def placed(self) -> tuple[str, ...]:
+        """What tells its effects from those of other sets: places, or names."""
+        return self.places or self.names
 
     @property
     def answer(self) -> tuple[frozenset[str], bool]:
@@ -79,6 +86,11 @@ def further_price(
     It must earn something in itself and, lest it mend the form of another, beside the gap.
     """
     return c["second_effect"] + c["second_effect_share"] * max(sum(plain) - sum(samples), 0.0)
+
+
+def gain_of_a_law(parameters: int, c: DiagnosisCalibrationSettings) -> float:
+    """Chi-squared, the training trial weighted, from which on a law of some parameters is likelier than `none`."""
+    return c["none_gain"] + c["per_parameter"] * parameters
 
 
 def is_out_of_reach(
@@ -287,15 +299,16 @@ def _earned(
 ) -> np.ndarray:
     """Shares (names,) of a set's probability, by what the set loses when it has to do without each effect.
 
-    What would be left then is read off the best fit that has only the others; effects that earn alike share alike.
+    What would be left then is read off the best fit that has only the others, at their places; effects that earn alike
+    share alike.
     """
     if len(candidate.names) == 1:
         return np.ones(1)
 
     lost = []
-    for name in candidate.names:
-        others = set(candidate.names) - {name}
-        without = min(_left(x, c) for x in (plain, *candidates) if set(x.names) <= others)
+    for own in candidate.placed:
+        others = set(candidate.placed) - {own}
+        without = min(_left(x, c) for x in (plain, *candidates) if set(x.placed) <= others)
         lost.append(max(without - _left(candidate, c), 1.0))
     return np.array(lost) / sum(lost)
 

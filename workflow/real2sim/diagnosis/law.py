@@ -51,6 +51,7 @@ def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> d
         ),
         "family": first.name,
         "families": [named_family(f) for f in law.families],
+        "own_history_in_each_trial": law.is_history,
         "ln_evidence": law.gain,
         "equation": [row for one in fitted for row in _equation(pair, one, library)],
         "curve": _curve(fitted[0], library),

@@ -48,6 +48,7 @@ class Misfit:
         if self.law is not None and self.measured is not None:
             about = named_family(self.law.families[0])
             about |= {
+                "own_history_in_each_trial": self.law.is_history,
                 "size": size(found.pair, self.law, self.measured.library),
                 "chi2": list(self.law.hypothesis.chi2),
             }

@@ -30,6 +30,7 @@ from real2sim.pages.page import (
     section,
     table,
 )
+from real2sim.pages.visible import visible_section
 
 STAGES = {
     "input": "input chain (pelvis markers to the replayed pelvis)",
@@ -104,6 +105,7 @@ def diagnosis_page(*, diagnosis: Path, traces: Path, out: Path) -> None:
         _where(d),
         _which(d),
         *law_section(d.get("free_form"), phantom=d["phantom"]),
+        *visible_section(d.get("could_show"), _SHOWN),
         _how_far(d, _traces(traces)),
         _parameters(d),
         _next(d),
@@ -222,7 +224,7 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 def _lead(d: Mapping[str, Any]) -> list[str]:
     parts = [paragraph(_verdict(d), "lead")]
     misfit = misfit_sentence(d.get("misfit"))
-    parts += [paragraph(text) for text in (misfit, _spectral(d), _exchanged(d), _hold(d))]
+    parts += [paragraph(text) for text in (misfit, _exchanged(d), _hold(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
     for trial, gates in d["refused_gates"].items():
         what = (
@@ -233,6 +235,10 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
         which = ", ".join(f"{marker} for {rounded(s)} s" for marker, s in markers.items())
         what = f"In {trial} pelvis markers jump ({which}): there the pelvis is taken from the others. Label them again."
         parts.append(paragraph(what))
+    if spectral := _spectral(d):
+        parts.append(
+            f"<details><summary>The same in chi-squared</summary>\n{paragraph(spectral)}\n</details>"
+        )
     return [part for part in parts if part != "<p></p>"]
 
 

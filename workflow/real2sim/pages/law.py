@@ -45,13 +45,12 @@ def law_section(law: Mapping[str, Any] | None, *, phantom: bool) -> list[str]:
 
 def sentence(law: Mapping[str, Any]) -> str:
     """Return place, variables, kind and share of the gap of a law, and what it does not claim, in plain words."""
-    on = " and ".join(_words(name) for name in law["depends_on"])
     if law["kind"] == "measurement":
+        on = " and ".join(_words(name) for name in law["depends_on"])
         what = "interface markers" if law["stage"] == "output" else "segment's path"
         text = f"The gap looks like a displacement of the {what} that depends on {on}"
     else:
-        text = f"The gap looks like a force along {' and '.join(law['axes'])} that depends on {on}"
-        text += f" ({law['kind']})"
+        text = f"The gap looks like a force along {' and '.join(law['axes'])} {_dependence(law)}"
     if law["gap_closed"] is not None and law["gap_closed"] >= 1:
         text += "; with it J is no more than noise alone costs"
     elif law["gap_closed"] is not None:
@@ -59,9 +58,12 @@ def sentence(law: Mapping[str, Any]) -> str:
         text += (
             f"; with it J falls by {percent(law['gap_closed'])} ({low} to {high}) of what lies above noise"
         )
-    text += (
-        f", and {percent(law['chi2_closed'])} of chi-squared on the trial that it was not fitted to is gone. "
-    )
+    else:
+        text += f"; it takes away {percent(law['chi2_closed'])} of what chi-squared has above noise"
+    if law.get("own_history_in_each_trial"):
+        text += "; nothing that was recorded foretells it, so that its history was fitted on both trials. "
+    else:
+        text += " on the trial that it was not fitted to. "
     if law["nearest"] is not None and law["nearest"]["gap_closed"] is not None:
         closest = law["nearest"]
         text += f"The best set of names, {closest['effect']}, closes {percent(closest['gap_closed'])}. "
@@ -70,6 +72,16 @@ def sentence(law: Mapping[str, Any]) -> str:
     return text + (
         "It describes what these trials show, within the range that the fitted one visited. It is no proof of a cause."
     )
+
+
+def _dependence(law: Mapping[str, Any]) -> str:
+    """What a force depends on, and its kind."""
+    others = [_words(name) for name in law["depends_on"] if name != "time"]
+    if not law.get("own_history_in_each_trial"):
+        on = " and ".join(_words(name) for name in law["depends_on"])
+        return f"that depends on {on} ({law['kind']})"
+    gained = f", times {' and '.join(others)}," if others else ""
+    return f"with a history of its own in each trial{gained} ({law['kind']})"
 
 
 def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
@@ -88,7 +100,7 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
     size = (
         "a force" if law["size"] is None else f"{rounded(law['size']['rms'], 2)} {law['size']['unit']} (RMS)"
     )
-    return f"{text}: {size} along {' and '.join(law['axes'])} that depends on {on} ({law['kind']})."
+    return f"{text}: {size} along {' and '.join(law['axes'])} {_dependence(law)}."
 
 
 def _words(name: str) -> str:

@@ -1,0 +1,140 @@
+"""What two records could have shown: the smallest size at which an effect would have been told from none.
+
+An effect of some size is simulated beside the plain fit. What the plain plant would leave of it, its parameters fitted
+anew on the tangent, is what the effect would earn; it is told where that is more than the decision asks of a law
+against `none`, with the scatter that noise gives it. What is swallowed whole (by a start pose that is free, by
+stiffness or damping) is invisible at any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from real2sim.diagnosis.decide import gain_of_a_law
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import Pair
+from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.inference.least_squares import bounded_step
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
+
+# Sizes that are simulated, between the smallest and the largest that is searched
+_SIZES = 14
+# Smallest size of a parameter that may be nothing, as a share of the largest
+_SMALLEST = 1e-3
+# Standard deviations below which 5 % of a normal distribution lie
+_ONE_SIDED_95 = 1.645
+
+
+def could_have_shown(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) -> list[dict[str, Any]]:
+    """Return one entry per effect of ``diagnosis.report.visible``, place and parameter.
+
+    ``from`` is the smallest size that would have been told from `none` in 95 % of such records [``unit``], None where
+    none that is searched would. ``options`` is the slice ``diagnosis`` of the configuration.
+    """
+    wanted = options["report"]["visible"]
+    trials = _Trials(pair, plain, options["search"]["longest_step"])
+    out = []
+    first = {effect.name: effect for effect in reversed(EFFECTS)}
+    for effect in (first[name] for name in wanted if name in first):
+        for where in effect.places(pair.system):
+            placed = Placed(effect, where, pair.train.scales)
+            for index, sizes in _ladders(placed):
+                out.append(_entry(placed, index, sizes, trials, options))
+    return out
+
+
+def _ladders(placed: Placed) -> Iterator[tuple[int, np.ndarray]]:
+    """Parameters that say how large an effect is, and searched numbers (s, p) with growing sizes of each."""
+    lower, upper = placed.bounds()
+    rest, start = placed.at_rest(), placed.starts()[0]
+    for i, parameter in enumerate(placed.effect.parameters):
+        if parameter.log and i == 0:
+            x = np.tile(start, (_SIZES, 1))
+            x[:, 0] = np.linspace(lower[0], upper[0], _SIZES)
+            yield i, x
+        elif not parameter.log and parameter.lower <= 0 and rest[i] == 0:
+            x = np.tile(rest, (_SIZES, 1))
+            x[:, i] = upper[i] * np.geomspace(_SMALLEST, 1, _SIZES)
+            yield i, x
+        if parameter.log:
+            return
+
+
+class _Trials:
+    """Both trials at the plain fit: residuals, slopes by the system's parameters, and room for those."""
+
+    def __init__(self, pair: Pair, plain: Hypothesis, longest: float):
+        self._pair, self._base = pair, plain.base
+        items = (pair.train, pair.held_out)
+        known = [JointResiduals(e, (), pair.system, coarse=True) for e in items]
+        both = [k.with_jacobian(plain.base, np.arange(len(plain.base))) for k in known]
+        self._residuals = [r[: e.samples] for (r, _), e in zip(both, items, strict=True)]
+        self._fitted, held_out = (j for _, j in both)
+        self._held_out = held_out[: pair.held_out.samples]
+        self._normal = self._fitted.T @ self._fitted + 1e-9 * np.eye(len(plain.base))
+        lower, upper = pair.system.bounds()
+        self._lower = np.maximum(lower - plain.base, -longest)
+        self._upper = np.minimum(upper - plain.base, longest)
+
+    def earned(self, placed: Placed, x: np.ndarray) -> np.ndarray:
+        """Return what the plain plant would leave of an effect of searched numbers (s, p), (s, 2) of both trials."""
+        z = np.hstack([np.tile(self._base, (len(x), 1)), x])
+        changes = []
+        for evidence, here in zip((self._pair.train, self._pair.held_out), self._residuals, strict=True):
+            problem = JointResiduals(evidence, (placed,), self._pair.system, coarse=True)
+            changes.append(problem.many(z)[:, : evidence.samples] - here)
+        left = np.full((len(x), 2), np.nan)
+        n = self._pair.train.samples
+        for k, (fitted, held_out) in enumerate(zip(*changes, strict=True)):
+            if np.isfinite(fitted).all() and np.isfinite(held_out).all():
+                # the effect is in the data, so that the plain plant lacks it
+                slope = self._fitted[:n].T @ -fitted
+                step = bounded_step(self._normal, slope, self._lower, self._upper)
+                left[k] = [
+                    np.sum((self._fitted[:n] @ step - fitted) ** 2),
+                    np.sum((self._held_out @ step - held_out) ** 2),
+                ]
+        return left
+
+
+def _entry(
+    placed: Placed, index: int, x: np.ndarray, trials: _Trials, options: DiagnosisSettings
+) -> dict[str, Any]:
+    left = trials.earned(placed, x)
+    calibration = options["calibration"]
+    weights = np.array([calibration["train_weight"], 1.0])
+    # chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more
+    sure = left @ weights - _ONE_SIDED_95 * 2 * np.sqrt(left @ weights**2)
+    needed = gain_of_a_law(len(placed.effect.parameters), calibration)
+    sizes = np.array([placed.values(row[None])[0, index] for row in x])
+    parameter = placed.effect.parameters[index]
+    rotational = bool(placed.where.axes) and placed.where.system.axes[placed.where.axes[0]].rotational
+    return {
+        "effect": placed.effect.name,
+        "axes": placed.axes,
+        "side": placed.where.side,
+        "parameter": parameter.name,
+        "from": _crossed(sizes, sure, needed),
+        "unit": parameter.unit_for(rotational=rotational),
+    }
+
+
+def _crossed(sizes: np.ndarray, sure: np.ndarray, needed: float) -> float | None:
+    """Smallest size from which on what is surely earned stays above what is needed, by straight lines of logarithms."""
+    enough = np.isfinite(sure) & (sure >= needed)
+    if not enough.any():
+        return None
+    last_short = np.flatnonzero(~enough & np.isfinite(sure))
+    before = last_short[last_short < np.flatnonzero(enough)[-1]]
+    if not len(before):
+        return float(abs(sizes[0]))
+    i = int(before[-1])
+    low, high = np.log(max(sure[i], 1e-3)), np.log(sure[i + 1])
+    share = (np.log(needed) - low) / max(high - low, 1e-12)
+    a, b = np.log(abs(sizes[i])), np.log(abs(sizes[i + 1]))
+    return float(np.exp(a + np.clip(share, 0, 1) * (b - a)))

@@ -96,7 +96,6 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
     law = misfit["law"]
     if law is None:
         return f"{text}, which no law of one kind explains."
-    on = " and ".join(_words(name) for name in law["depends_on"])
     size = (
         "a force" if law["size"] is None else f"{rounded(law['size']['rms'], 2)} {law['size']['unit']} (RMS)"
     )

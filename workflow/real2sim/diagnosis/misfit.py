@@ -106,7 +106,7 @@ def is_kin(law: Law, named: Hypothesis) -> bool:
     family = law.families[0]
     return any(
         family.stage == p.effect.stage
-        and family.kind in p.effect.kinds
+        and (family.kind in p.effect.kinds or family.name in p.effect.kinds)
         and (not p.axes or bool(set(p.axes) & set(family.axes)))
         for p in named.effects
     )

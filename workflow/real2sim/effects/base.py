@@ -329,8 +329,8 @@ class Effect:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of the free-form families that it is a special case of; empty where no family holds it."""
-        return ("measurement",) if self.stage in ("input", "output") else self.plant.kinds
+        """Kinds or names of the free-form families that it is a special case of; empty where no family holds it."""
+        return self.plant.kinds + self.chains.kinds
 
     def fits(self, system: System) -> bool:
         """Whether a system offers what the effect needs."""

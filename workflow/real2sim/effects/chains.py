@@ -108,6 +108,7 @@ class Chains:
     (m, n, ...), values (m, p) and context to paths; ``log`` does so with the machine's joints (m, n, j);
     ``observation`` sets the plant up otherwise; ``displacement`` maps values (p,) and context to displacements
     (n, 4, 3) [m, pelvis] of the pelvis markers over the bone, which the markers themselves may contradict.
+    ``kinds`` are names of the free-form families (`real2sim.effects.displacements`) that it is a special case of.
     """
 
     input: InputChain | None = None
@@ -115,6 +116,7 @@ class Chains:
     log: OutputChain | None = None
     observation: Observation | None = None
     displacement: Displacement | None = None
+    kinds: tuple[str, ...] = ()
 
     @property
     def of_measurement(self) -> bool:

@@ -87,7 +87,7 @@ EFFECTS = (
         scope="whole",
         needs=frozenset({"pose", "six_axes"}),
         plant=TurnedBack(),
-        chains=Chains(input=turned_motion),
+        chains=Chains(input=turned_motion, kinds=("turned segment",)),
         remedy=(
             "Turn the pelvis' markers of all trials by minus the yaw about the vertical through the lab's origin and"
             " ingest anew; the strap's axes of this model are turned with the path as it was recorded"
@@ -104,7 +104,7 @@ EFFECTS = (
         group="F",
         scope="whole",
         needs=frozenset({"markers", "pose"}),
-        chains=Chains(observation=TurnedLab()),
+        chains=Chains(observation=TurnedLab(), kinds=("turned markers",)),
         form="interface",
         remedy=(
             "Turn the interface's markers of all trials by minus the yaw about the vertical through the lab's origin"
@@ -122,7 +122,7 @@ EFFECTS = (
         group="F",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=scaled_motion),
+        chains=Chains(input=scaled_motion, kinds=("turned segment",)),
         form="scale",
         remedy="Divide the pelvis' markers of all trials by 1 + too_large about the lab's origin and ingest anew",
     ),

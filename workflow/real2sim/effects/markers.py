@@ -177,7 +177,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"bar", "pose"}),
-        chains=Chains(observation=OffCentre()),
+        chains=Chains(observation=OffCentre(), kinds=("turned markers",)),
         remedy=(
             "Take from each interface marker its offset, turned with the interface, and ingest anew. Start and rest"
             " pose of this model are the true ones; its sites are the joint centres, not the markers"
@@ -194,7 +194,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"bar", "pose"}),
-        chains=Chains(observation=Retaped()),
+        chains=Chains(observation=Retaped(), kinds=("turned markers",)),
         form="retaped",
         remedy=(
             "Take from each interface marker its offset, turned with the interface, in all trials but neutral, and"
@@ -212,7 +212,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"bar", "pose"}),
-        chains=Chains(observation=OnStrap()),
+        chains=Chains(observation=OnStrap(), kinds=("turned markers",)),
         form="on_strap",
         remedy=(
             "Tape the markers to the robot's side of the interface. Start of this model is where the robot truly was;"
@@ -231,7 +231,7 @@ EFFECTS = (
             group="Dft",
             scope="whole",
             needs=frozenset({"bar"}),
-            chains=Chains(output=drifting_marker(index)),
+            chains=Chains(output=drifting_marker(index), kinds=("drifting markers",)),
             form=f"{side}",
             remedy="Take from the interface marker the ramp: its rate times the time from the start",
         )
@@ -251,7 +251,11 @@ EFFECTS = (
             group="Dft",
             scope="whole",
             needs=frozenset({"pelvis_markers", "pose"}),
-            chains=Chains(input=under_skin(sliding_marker(index)), displacement=sliding_marker(index)),
+            chains=Chains(
+                input=under_skin(sliding_marker(index)),
+                displacement=sliding_marker(index),
+                kinds=("drifting segment",),
+            ),
             form=marker.lower(),
             remedy=f"Ingest the pelvis anew without {marker}, or with its way over the bone taken from it",
         )

@@ -130,7 +130,7 @@ EFFECTS = (
         group="T",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=earlier_pelvis),
+        chains=Chains(input=earlier_pelvis, kinds=("late segment",)),
         remedy="Replay the pelvis earlier by the lag: what it shows at t happened at t - lag",
     ),
     Effect(
@@ -143,7 +143,7 @@ EFFECTS = (
         confusable=DELAYS,
         group="T",
         scope="whole",
-        chains=Chains(output=late_markers),
+        chains=Chains(output=late_markers, kinds=("late markers",)),
         remedy="Shift the interface markers earlier by the offset before they are compared with the simulation",
     ),
     Effect(
@@ -159,7 +159,7 @@ EFFECTS = (
         confusable=DELAYS,
         group="T",
         scope="whole",
-        chains=Chains(output=late_markers),
+        chains=Chains(output=late_markers, kinds=("late markers",)),
         form="each_trial",
         remedy="Shift the interface markers of each trial earlier by its own offset before they are compared",
     ),
@@ -174,7 +174,7 @@ EFFECTS = (
         group="T",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=later_pelvis),
+        chains=Chains(input=later_pelvis, kinds=("late segment",)),
         form="with_log",
         remedy="Replay the pelvis later by the offset, or shift interface markers and robot log earlier by it",
     ),
@@ -201,7 +201,7 @@ EFFECTS = (
             confusable=DELAYS,
             group="T",
             scope="whole",
-            chains=Chains(output=filtered_markers(order)),
+            chains=Chains(output=filtered_markers(order), kinds=("late markers",)),
             form=form,
             remedy=(
                 f"Pass the simulated interface markers through a causal Butterworth low-pass of {name} order"
@@ -224,7 +224,7 @@ EFFECTS = (
         confusable=DELAYS,
         group="T",
         scope="whole",
-        chains=Chains(output=averaged_markers),
+        chains=Chains(output=averaged_markers, kinds=("late markers",)),
         form="mean",
         remedy="Take the mean of the simulated interface markers over this window, or export the markers without it",
     ),
@@ -239,7 +239,7 @@ EFFECTS = (
             confusable=DELAYS,
             group="T",
             scope="whole",
-            chains=Chains(output=chain, log=late_log(lag)),
+            chains=Chains(output=chain, log=late_log(lag), kinds=("late markers",)),
             form=f"{form}with_log",
             remedy="Export the interface markers without the filter, and lay the robot's log on them anew",
         )

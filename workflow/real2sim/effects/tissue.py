@@ -71,7 +71,7 @@ EFFECTS = (
         group="V",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=soft_tissue),
+        chains=Chains(input=soft_tissue, kinds=("turned segment",)),
         remedy=f"Correct the pelvis before it is replayed: {_BONE}",
     ),
     Effect(
@@ -89,7 +89,7 @@ EFFECTS = (
         group="V",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=wobbling_tissue),
+        chains=Chains(input=wobbling_tissue, kinds=("turned segment",)),
         form="wobble",
         remedy=(
             "Correct the pelvis before it is replayed: add to its pose the lag times its rate and the mobility times"

@@ -720,6 +720,7 @@ DiagnosisReportSettings = TypedDict(
         "smallest_gap": float,
         "axis_share": float,
         "next_trial_certain": float,
+        "next_trial_axes": int,
         "visible": list[str],
     },
 )

@@ -15,6 +15,7 @@ from real2sim.diagnosis.free_form import Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart
+from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Outcome, conclude
@@ -89,12 +90,13 @@ class Beyond:
     """What an answer says beyond names; sections of diagnosis.json, each None where it does not apply.
 
     ``free_form`` is the measured law where no name fits, ``misfit`` what a named cause leaves, ``could_show`` from
-    which size effects would have been seen where there is `none`.
+    which size effects would have been seen where there is `none`, ``proposed_trial`` what parts the leading hypotheses.
     """
 
     free_form: dict[str, Any] | None = None
     misfit: dict[str, Any] | None = None
     could_show: list[dict[str, Any]] | None = None
+    proposed_trial: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,7 @@ class Diagnosis:
             "free_form": self.beyond.free_form,
             "misfit": self.beyond.misfit,
             "could_show": self.beyond.could_show,
+            "proposed_trial": self.beyond.proposed_trial,
             "noise_floor": self.noise_floor,
             "gap": self.gap,
             "where": self.where,
@@ -181,11 +184,15 @@ def describe_model(hypothesis: Hypothesis, scales: Scales) -> dict[str, Any]:
 
 
 def answer(
-    outcome: Outcome, settings: Settings, progress: Callable[[str], None] = lambda text: None
+    outcome: Outcome,
+    settings: Settings,
+    progress: Callable[[str], None] = lambda text: None,
+    imagine: Imagine | None = None,
 ) -> Diagnosis:
     """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``.
 
-    Where the verdict is `unknown`, the law is measured that explains the gap, if one does. ``progress`` is told.
+    Where the verdict is `unknown`, the law is measured that explains the gap, if one does. ``progress`` is told;
+    ``imagine`` gives trials that could be recorded next.
     """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     own, misfit = _checked(found, own, options, progress)
@@ -200,7 +207,7 @@ def answer(
             decision = averaged(own, under_other, share, constants["ambiguity_probability"])
     account = _Account(found, decision, settings)
     result = account.diagnosis(otherwise)
-    result = replace(result, beyond=account.beyond(misfit, progress))
+    result = account.with_more(result, misfit, progress, imagine)
     if not share or other is None:
         return result
     theirs = _Account(other, under_other, settings).causes()
@@ -407,30 +414,55 @@ class _Account:
             cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
         )
 
-    def beyond(self, misfit: Misfit | None, progress: Callable[[str], None]) -> Beyond:
-        """Return the law of an unknown cause, what a named one leaves (``misfit``), what `none` would have shown."""
-        if self._decision.verdict == NONE:
-            progress("none: from which size would effects have been seen?")
-            plain = self._attribution.plain
-            return Beyond(could_show=could_have_shown(self._pair, plain, self._settings["diagnosis"]))
-        if self._decision.verdict == UNKNOWN:
-            measured = misfit.measured if misfit is not None else None
-            return Beyond(free_form=self._free_form(measured, progress))
-        if self._decision.chosen is None or misfit is None:
-            return Beyond()
-        return Beyond(misfit=misfit.to_dict(self._found))
+    def with_more(
+        self,
+        result: Diagnosis,
+        misfit: Misfit | None,
+        progress: Callable[[str], None],
+        imagine: Imagine | None,
+    ) -> Diagnosis:
+        """Return the answer with what it says beyond names.
 
-    def _free_form(self, measured: Measured | None, progress: Callable[[str], None]) -> dict[str, Any] | None:
-        """Return the measured law; None where none closes enough of the gap on the held-out trial.
-
-        Laws are measured unless they are given.
+        The law of an unknown cause, what a named one leaves (``misfit``), what `none` would have shown, and the trial
+        that parts the leading hypotheses.
         """
-        options, pair, plain = self._settings["diagnosis"], self._pair, self._attribution.plain
-        nearest = min([plain, *self._attribution.hypotheses], key=lambda h: sum(h.chi2))
-        if measured is None:
-            search = Search(pair, options["search"])
-            free, searched = options["free_form"], options["search"]
-            measured = measure(pair, plain, nearest.base, search, free, searched, progress)
+        decision, options = self._decision, self._settings["diagnosis"]
+        if decision.verdict == NONE:
+            progress("none: from which size would effects have been seen?")
+            seen = could_have_shown(self._pair, self._attribution.plain, options)
+            return replace(result, beyond=Beyond(could_show=seen))
+        measured = misfit.measured if misfit is not None else None
+        beyond = Beyond()
+        if decision.verdict == UNKNOWN:
+            measured = self._measured(progress) if measured is None else measured
+            beyond = Beyond(free_form=self._free_form(measured))
+        elif misfit is not None:
+            beyond = Beyond(misfit=misfit.to_dict(self._found))
+        if result.next_trial is None or imagine is None:
+            return replace(result, beyond=beyond)
+        progress("the next trial: what would part the leading hypotheses?")
+        rivals = rivals_of(self._attribution, decision, measured.laws if measured is not None else [])
+        shares = self._pair.shown.axis_shares(self._plain_path)
+        axes = axes_of(rivals, self._pair, shares, self._report["next_trial_axes"])
+        proposal = propose(self._pair, rivals, axes, options["search"]["longest_step"], imagine)
+        if proposal is None:
+            return replace(result, beyond=beyond)
+        return replace(result, beyond=replace(beyond, proposed_trial=proposal), next_trial=told(proposal))
+
+    def _nearest(self) -> Hypothesis:
+        """The named set, or the plain plant, that leaves least."""
+        found = self._attribution
+        return min([found.plain, *found.hypotheses], key=lambda h: sum(h.chi2))
+
+    def _measured(self, progress: Callable[[str], None]) -> Measured:
+        options, plain = self._settings["diagnosis"], self._attribution.plain
+        search = Search(self._pair, options["search"])
+        start, free, searched = self._nearest().base, options["free_form"], options["search"]
+        return measure(self._pair, plain, start, search, free, searched, progress)
+
+    def _free_form(self, measured: Measured) -> dict[str, Any] | None:
+        """Return the measured law; None where none closes enough of the gap on the held-out trial."""
+        options, pair, nearest = self._settings["diagnosis"], self._pair, self._nearest()
         laws, library = measured.laws, measured.library
         n = self._attribution.samples[1]
         shown = [h for h in laws if self._share(h.hypothesis, n) >= options["free_form"]["least_closed"]]

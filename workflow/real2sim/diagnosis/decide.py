@@ -324,11 +324,12 @@ def _group(
 def next_trial(decision: Decision, certain: float) -> str | None:
     """Return the trial that would separate the likeliest effects, in one phrase.
 
-    None where a cause or a set of effects has the probability ``certain`` or more: nothing is left to separate.
+    None where a cause or a set of effects has the probability ``certain`` or more: nothing is left to separate. There
+    always is one where the cause is unknown.
     """
     top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
     # the probability of a set of effects is shared out between them
-    if max(top[0][1], *decision.sets) >= certain:
+    if decision.verdict != UNKNOWN and max(top[0][1], *decision.sets) >= certain:
         return None
     for name, _ in top:
         for effect in EFFECTS:

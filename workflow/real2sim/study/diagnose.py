@@ -20,6 +20,7 @@ from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import StrapEvidence
+from real2sim.study.strap_imagined import imagined_trials
 from real2sim.study.strap_recording import load_evidence
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def diagnose(
     )
     if outcome.found.pair.exchanged or outcome.the_other_way:
         train, held_out = held_out, train
-    result = answer(outcome, settings, progress)
+    result = answer(outcome, settings, progress, imagined_trials)
     progress(f"verdict {result.verdict}")
     if traces is not None:
         _write_traces(traces, result)

@@ -315,6 +315,26 @@ def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) ->
     return sorted(out, key=lambda s: -s.gain)
 
 
+def smoothed(found: Screened, known: Slopes, library: Library, base: Hypothesis, longest: float) -> Screened:
+    """Return a screened family with the prior scale at which its coefficients of the fitted trial foretell best.
+
+    The evidence lets a function be as rough as both trials together ask for. Where the fitted one does not determine
+    that roughness, its best coefficients foretell badly: a smaller scale, which the other trial chooses, is smoother.
+    """
+    if isinstance(found.family, Family) and found.family.each_trial:
+        return found
+    columns, weights = _columns_of(found.family, known, library)
+    fitted = _Equations(known, slice(known.train), *_room(library, base, longest))
+    best, least = found, np.inf
+    for scale in _SCALES[found.scale * (1 + 1e-9) >= _SCALES][::-1]:
+        step, coefficients = fitted.solve(columns, scale * weights)
+        left = known.residuals + known.base @ step + columns @ coefficients
+        cost = float(left @ left)
+        if cost < least:
+            best, least = replace(found, scale=float(scale), coefficients=coefficients, step=step), cost
+    return best
+
+
 def _columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.ndarray, np.ndarray]:
     """Slopes (r, p) by a family's coefficients, and the weights (p,) of their prior."""
     if isinstance(family, Displacement):
@@ -433,8 +453,13 @@ class Law:
 
     @property
     def is_history(self) -> bool:
-        """Whether its first family has a history of its own in each trial, so that it foretells nothing."""
+        """Whether its first family has a history of its own in each trial."""
         return isinstance(self.families[0], Family) and self.families[0].each_trial
+
+    @property
+    def is_free(self) -> bool:
+        """Whether its first family has any history, so that it foretells nothing."""
+        return isinstance(self.families[0], Family) and self.families[0].is_free
 
     @property
     def first(self) -> int:
@@ -599,25 +624,38 @@ def measure(
     known = slopes(pair, library, base)
     screened = screen(known, library, base, longest)
     trial = _Trial(pair, library, search, ln_evidence(pair, plain, longest), longest, progress)
-    laws = [trial.refitted((), s, base) for s in _diverse(screened, options["refits"])]
-    laws = _foretelling_first(sorted(laws, key=lambda law: -law.gain), search_options["grow_share"])
+    chosen = [smoothed(s, known, library, base, longest) for s in _diverse(screened, options["refits"])]
+    laws = [trial.refitted((), s, base) for s in chosen]
+    laws = sorted(laws, key=lambda law: -law.gain)
     for law in laws[:3]:
         progress(f"{_named(law)}: ln evidence +{law.gain:.0f}")
-    laws = _grown(laws, screened, trial, options, search_options["grow_share"])
+    laws = _grown_best(laws, screened, trial, options, search_options["grow_share"])
     if laws:
         laws[0] = trial.pruned(laws[0], float(np.log(len(screened))))
     return Measured(laws, screened, trial)
 
 
-def _foretelling_first(laws: list[Law], share: float) -> list[Law]:
-    """Laws, best first, but one that foretells before a history of its own in each trial that gains little more.
+def _grown_best(
+    laws: list[Law],
+    screened: Sequence[Screened],
+    trial: _Trial,
+    options: DiagnosisFreeFormSettings,
+    grow_share: float,
+) -> list[Law]:
+    """The laws with further families on top of the best; one that foretells goes before one of any history.
 
-    A history can stand for any law of its axis; what depends on something that was recorded says more.
+    A free history can stand for every law of its axis. What depends on something that was recorded says more, and is
+    taken where it gains nearly as much once it has grown.
     """
-    if not laws or not laws[0].is_history:
-        return laws
-    others = [law for law in laws if not law.is_history and law.gain > (1 - share) * laws[0].gain]
-    return [*others[:1], *(law for law in laws if law not in others[:1])]
+    if not laws or not laws[0].is_free:
+        return _grown(laws, screened, trial, options, grow_share)
+    others = [law for law in laws if not law.is_free]
+    foretelling = [s for s in screened if not (isinstance(s.family, Family) and s.family.is_free)]
+    grown = _grown(others, foretelling, trial, options, grow_share)
+    if grown and grown[0].gain > (1 - grow_share) * laws[0].gain:
+        larger = [law for law in grown if all(law is not other for other in laws)]
+        return [*larger, *laws] if larger else [grown[0], *(law for law in laws if law is not grown[0])]
+    return laws
 
 
 def _named(law: Law) -> str:
@@ -649,9 +687,11 @@ def _grown(
         library = trial.library.only([f for f in promising if f not in best.families])
         known = slopes(trial.pair, library, best.hypothesis)
         further = screen(known, library, best.hypothesis, trial.longest)
-        tried = [
-            trial.refitted(best.families, s, best.hypothesis) for s in _diverse(further, options["most"])
+        chosen = [
+            smoothed(s, known, library, best.hypothesis, trial.longest)
+            for s in _diverse(further, options["most"])
         ]
+        tried = [trial.refitted(best.families, s, best.hypothesis) for s in chosen]
         tried = [
             law
             for law in tried
@@ -676,6 +716,6 @@ def _explains_more(smaller: Law, larger: Law, samples: Sequence[int], share: flo
     """
     both = list(zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, samples, strict=True))
     added = larger.families[-1]
-    if isinstance(added, Family) and added.each_trial:
+    if isinstance(added, Family) and added.is_free:
         return all(a > n and b - n < (1 - share) * (a - n) for a, b, n in both)
     return all(b < a for a, b, _ in both)

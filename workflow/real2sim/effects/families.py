@@ -278,10 +278,15 @@ class Family:
     each_trial: bool = False
 
     @property
+    def is_free(self) -> bool:
+        """Whether it has any history: it can stand for every law of its axis, and foretells nothing."""
+        return self.each_trial and self.kind != "rhythm"
+
+    @property
     def key(self) -> str:
         """What it is called in progress lines and tables."""
         of = f" of {', '.join(self.depends_on)}" if self.depends_on else ""
-        return f"{self.kind} force along {', '.join(self.axes)}{of}"
+        return f"{self.kind.removesuffix(' force')} force along {', '.join(self.axes)}{of}"
 
 
 def families(
@@ -368,7 +373,7 @@ def _own(axis: str, joint: str) -> Iterator[Family]:
     q, v = f"q_{axis}", f"v_{axis}"
     elastic = [_legendre(q, joint, k) for k in OWN_ORDERS]
     yield Family("elastic", "interface", "elastic", (axis,), (q,), _one(elastic))
-    lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), times(joint, {v: 3}, weight=0.5)]
+    lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), *(_legendre(v, joint, k) for k in ORDERS)]
     yield Family("dissipative", "interface", "dissipative", (axis,), (v,), _one(lossy))
     both = [*_gains(q, joint, v), times(joint, {q: 1}, [v], 0.5)]
     yield Family("damping by coordinate", "interface", "damping by coordinate", (axis,), (q, v), _one(both))
@@ -446,7 +451,7 @@ def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:
     q, v, qo, vo = f"q_{axis}", f"v_{axis}", f"q_{other}", f"v_{other}"
     elastic = [_legendre(qo, joint, k) for k in ORDERS]
     yield Family("from a coordinate", "interface", "coupling", (axis,), (qo,), _one(elastic))
-    lossy = [times(joint, {vo: 1}), times(joint, {vo: 1}, [vo], 0.5), _steps(vo, joint)[1]]
+    lossy = [*_steps(vo, joint), times(joint, {vo: 1}, [vo]), *(_legendre(vo, joint, k) for k in ORDERS)]
     yield Family("from a rate", "interface", "coupling", (axis,), (vo,), _one(lossy))
     gain = _gains(qo, joint, v)
     yield Family("damping by another coordinate", "interface", "coupling", (axis,), (qo, v), _one(gain))
@@ -457,7 +462,7 @@ def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:
 def _of_time(
     stage: str, axis: str, joint: str, waves: Sequence[int], gained: Sequence[str] = ()
 ) -> Iterator[Family]:
-    """Families of a force from outside, or of a gain of some variables, whose history is another in every trial."""
+    """Families of a force from outside, or of a gain of some variables, of any slow history, another in every trial."""
     alone = [Term(f"cos({k} pi time)" if k else "constant", joint, cosine(k)) for k in waves]
     yield Family("external force", stage, "external force", (axis,), ("time",), _one(alone), each_trial=True)
     for by in gained:
@@ -483,6 +488,10 @@ def _machine(joint: str, name: str) -> Iterator[Family]:
     place = [_legendre(name, joint, k) for k in (0, *ORDERS)]
     yield Family("machine place", "robot", "place", (joint,), (name,), _one(place))
     rate = RATES[name]
-    lossy = [*_steps(rate, joint), times(joint, {rate: 1}), times(joint, {rate: 1}, [rate])]
+    lossy = [
+        *_steps(rate, joint),
+        times(joint, {rate: 1}, [rate]),
+        *(_legendre(rate, joint, k) for k in ORDERS),
+    ]
     yield Family("machine dissipative", "robot", "dissipative", (joint,), (rate,), _one(lossy))
     yield from _with_history("robot", joint, joint, name)

@@ -38,6 +38,7 @@ def test_ci_runs_the_readmes_test_command():
         "docs/assumptions.md",
         "docs/decisions.md",
         "docs/library.md",
+        "docs/measured-law.md",
         "examples/README.md",
         "docs/troubleshooting.md",
     ],

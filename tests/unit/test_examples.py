@@ -31,6 +31,15 @@ def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s,
         assert model.dof_frictionloss[0] == pytest.approx(20.4, rel=0.1)
 
 
+def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):
+    module = _load("unlisted")
+    answer = module.main(["--out", str(tmp_path)])
+    assert (answer.verdict, answer.free_form["kind"]) == ("unknown", "elastic")
+    cubic = next(row for row in answer.free_form["equation"] if row["term"] == "q_x^3")
+    assert cubic["value"] == pytest.approx(-module.CUBIC, rel=0.1)
+    assert (tmp_path / "law.png").stat().st_size > 5000
+
+
 @pytest.mark.parametrize("name", ["cuff", "drba", "emps", "strap"])
 def test_options_of_an_example_are_parsed(name):
     module = _load(name)

@@ -63,7 +63,7 @@ def test_terms_of_one_name_are_one_function():
     system = shipped_system("strap")
     places = ["place_x", "place_y", "heading", *POSTURE]
     names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
-    names += [*places, *RATES.values(), "time"]
+    names += [*places, *RATES.values(), *(f"acceleration_{axis.name}" for axis in system.axes), "time"]
     rng = np.random.default_rng(3)
     of = {n: Variable(n, "m", 0.1, rng.standard_normal(50)) for n in names}
     wide = {n: Range(-2.0, 2.0) for n in names}

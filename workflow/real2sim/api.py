@@ -155,6 +155,33 @@ class Diagnosis:
         title = f"{self.system.name}: {', '.join(self.answer.verdict_set)}"
         return plot_traces(self.answer.traces(), title, path)
 
+    @property
+    def free_form(self) -> dict[str, Any] | None:
+        """The measured law where no name fits, as in diagnosis.json."""
+        return self.answer.beyond.free_form
+
+    def plot_law(self, path: Path | str | None = None) -> Any:
+        """Draw the curve of the measured law with its band; return the figure, written where ``path`` is given.
+
+        Raises
+        ------
+        ValueError
+            Where no law was measured, or one that is no function of one variable.
+        """
+        from real2sim.pages.law import law_figure
+        from real2sim.pages.page import page_style
+
+        curve = None if self.free_form is None else self.free_form["curve"]
+        if curve is None:
+            raise ValueError(
+                f"{self.system.name}: no measured law of one variable; see free_form of the answer"
+            )
+        with page_style():
+            figure = law_figure(curve, phantom=False)
+            if path is not None:
+                figure.savefig(path, dpi=200)
+        return figure
+
     def export_model(self, path: Path | str) -> None:
         """Write the diagnosed model of the fitted recording as an MJCF, parameters and effects in it.
 

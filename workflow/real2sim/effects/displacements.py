@@ -68,19 +68,36 @@ def displacements() -> list[Displacement]:
     way = tuple(f"{a} time^{k}" for k in (1, 2, 3) for a in "xyz")
     turned = tuple(f"{a} {n}" for n in ("tilt", "list", "heading") for a in "xyz")
     slow = (1.0,) * 3 + (0.5,) * 3 + (0.33,) * 3
+    # each marker by itself: one may slide and the other not
+    single = tuple(f"{marker} {term}" for term in ("x", "y", "z", *turned) for marker in ("left", "right"))
+    apart = tuple(f"{marker} {term}" for term in way for marker in ("left", "right"))
     return [
         Displacement("late markers", "output", ("rate",), lags, (1, 1, 1), Chains(output=_late_markers)),
-        Displacement("drifting markers", "output", ("time",), way, slow, Chains(output=_drifting_markers)),
+        Displacement(
+            "drifting markers",
+            "output",
+            ("time",),
+            apart,
+            tuple(w for w in slow for _ in range(2)),
+            Chains(output=_drifting_markers),
+        ),
         Displacement(
             "turned markers",
             "output",
             ("pelvis_tilt", "pelvis_list", "pelvis_heading"),
-            tuple("xyz") + turned,
-            (1.0,) * 12,
+            single,
+            (1.0,) * 24,
             Chains(output=_turned_markers),
         ),
         Displacement("late segment", "input", ("rate",), lags[:2], (1, 1), Chains(input=_late_segment)),
-        Displacement("drifting segment", "input", ("time",), way, slow, Chains(input=_drifting_segment)),
+        Displacement(
+            "drifting segment",
+            "input",
+            ("time",),
+            way + tuple(f"r{term}" for term in way),
+            slow * 2,
+            Chains(input=_drifting_segment),
+        ),
         Displacement(
             "turned segment",
             "input",
@@ -121,8 +138,7 @@ def _passed(context: Context) -> np.ndarray:
 
 def _drifting_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     powers = _passed(context)[:, None] ** np.arange(1, 4)
-    way = _WAY_M * np.einsum("nk,mkc->mnc", powers, values.reshape(len(values), 3, 3))
-    return np.asarray(paths + np.einsum("nij,mnj->mni", context.interface_rotation, way)[:, :, None])
+    return _moved(paths, powers, values, context)
 
 
 def _angles(context: Context) -> np.ndarray:
@@ -135,8 +151,13 @@ def _angles(context: Context) -> np.ndarray:
 
 def _turned_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     angles = np.column_stack([np.ones(len(context.time_s)), _angles(context)])
-    way = _WAY_M * np.einsum("nk,mkc->mnc", angles, values.reshape(len(values), 4, 3))
-    return np.asarray(paths + np.einsum("nij,mnj->mni", context.interface_rotation, way)[:, :, None])
+    return _moved(paths, angles, values, context)
+
+
+def _moved(paths: np.ndarray, signals_of: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    """Return marker paths (m, n, 2, 3) displaced along the interface's axes, each by its own sum of signals (n, k)."""
+    way = np.einsum("nk,mkcj->mnjc", signals_of, values.reshape(len(values), -1, 3, 2))
+    return np.asarray(paths + _WAY_M * np.einsum("nic,mnjc->mnji", context.interface_rotation, way))
 
 
 def _displaced(
@@ -158,7 +179,8 @@ def _late_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.
 
 def _drifting_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
     powers = _passed(context)[:, None] ** np.arange(1, 4)
-    return _displaced(context, _WAY_M * powers @ values.reshape(3, 3))
+    way, turn = values.reshape(2, 3, 3)
+    return _displaced(context, _WAY_M * powers @ way, _TURN_RAD * powers @ turn)
 
 
 def _turned_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:

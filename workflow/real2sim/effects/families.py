@@ -16,6 +16,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.spatial.transform import Rotation
 
 from real2sim import signals
 from real2sim.effects.chains import Context
@@ -114,13 +115,32 @@ def variables(
         unit, scale = _UNITS[name]
         out[name] = Variable(name, unit, scale, smooth(values - values[: context.start].mean()) / scale)
     for name in [n for n in PLACE if n in out]:
-        moved = smooth(signals.derivative(out[name].values, rate))
-        large = max(float(np.percentile(np.abs(moved), 95)), 1e-9)
-        unit, scale = out[name].unit, out[name].scale
+        moved, unit, scale = out[name].values, out[name].unit, out[name].scale
+        moved = smooth(signals.derivative(moved, rate))
+        large = _large(moved)
         out[RATES[name]] = Variable(RATES[name], f"{unit}/s", scale * large, moved / large)
+    if "place_x" in out:
+        for i, axis in enumerate(system.axes):
+            moved = smooth(_accelerations(context, rate)[:, i])
+            large, name = _large(moved), f"acceleration_{axis.name}"
+            out[name] = Variable(name, "rad/s2" if axis.rotational else "m/s2", large, moved / large)
     passed = np.maximum(context.time_s - context.time_s[context.start], 0.0)
     out["time"] = Variable("time", "s", float(passed[-1]), passed / passed[-1])
     return out
+
+
+def _large(values: np.ndarray) -> float:
+    return max(float(np.percentile(np.abs(values), 95)), 1e-9)
+
+
+def _accelerations(context: Context, rate: float) -> np.ndarray:
+    """Accelerations (n, 6) of the interface along and about the axes of the segment [m/s2, rad/s2]."""
+    middle = signals.bridged(context.measured.mean(axis=1))
+    turned = Rotation.from_matrix(context.interface_rotation[0].T @ context.interface_rotation).as_rotvec()
+    turned = turned @ context.interface_rotation[0].T
+    twice = signals.derivative(signals.derivative(np.hstack([middle, turned]), rate), rate)
+    along = [np.einsum("nij,ni->nj", context.pelvis_rotation, part) for part in np.hsplit(twice, 2)]
+    return np.hstack(along)
 
 
 def _places(context: Context, rate: float) -> dict[str, np.ndarray]:
@@ -319,6 +339,8 @@ def families(
         out.append(_potential((a.name, b.name), (a.joint, b.joint), units))
     for a, b in permutations(axes, 2):
         out += _coupled(a.name, a.joint, b.name)
+    if all(f"acceleration_{axis.name}" in known for axis in axes) and len(axes) == 6:
+        out.append(_inertial([(axis.name, axis.joint) for axis in axes]))
     moved = [(j, n) for j, n in DRIVEN if n in known and j in system.machine_joints]
     for joint, name in moved:
         out += _machine(joint, name)
@@ -444,6 +466,13 @@ def _potential(
     for name, joint in zip((a, b), joints, strict=True):
         terms += [(_legendre(name, joint, k),) for k in ALONE]
     return Family("elastic coupling", "interface", "elastic coupling", axes, (a, b), tuple(terms))
+
+
+def _inertial(axes: Sequence[tuple[str, str]]) -> Family:
+    """Forces and moments of a mass on the interface, along and about each axis."""
+    names = tuple(f"acceleration_{name}" for name, _ in axes)
+    terms = [times(joint, {name: 1}) for name, (_, joint) in zip(names, axes, strict=True)]
+    return Family("inertial", "robot", "inertial", tuple(n for n, _ in axes), names, _one(terms))
 
 
 def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:

@@ -28,6 +28,8 @@ _OFF_ORIGIN_M = 1e-6
 class InterfaceMass(Mechanism):
     """Mass and isotropic inertia that the model's interface body lacks, values (m, 2) [kg, kg m^2]."""
 
+    kinds = ("inertial",)
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body."""
         body = fields.model.body(where.system.body).id
@@ -37,6 +39,8 @@ class InterfaceMass(Mechanism):
 
 class HangingMass(StandingForce):
     """`InterfaceMass` whose weight nothing balances: it hangs from the arm, in the neutral trial as well."""
+
+    kinds = ("inertial",)
 
     def __init__(self, plan: Callable[..., np.ndarray], joints: tuple[str, ...]):
         super().__init__(plan, joints)

@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from real2sim.pages import style
 from real2sim.pages.page import page_style, paragraph, percent, picture, rounded, section, table
@@ -105,26 +106,34 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
 def _words(name: str) -> str:
     if name.startswith("history of "):
         return f"the history of {_words(name.removeprefix('history of '))}"
+    if name.startswith("acceleration_"):
+        return f"the interface's acceleration along {name.removeprefix('acceleration_')}"
     return _VARIABLES.get(name, name)
 
 
-def _picture(curve: Mapping[str, Any], *, phantom: bool) -> str:
+def law_figure(curve: Mapping[str, Any], *, phantom: bool) -> Figure:
+    """Return the figure of a measured law: ``curve`` of ``free_form``, force over its variable with the 95 % band."""
     unit = curve["unit"]
     factor, shown = {"m": (1e3, "mm"), "rad": (_DEGREES, "deg")}.get(unit, (1.0, unit))
     if unit == "rad/s":
         factor, shown = _DEGREES, "deg/s"
     grid = factor * np.array(curve["grid"])
+    figure = style.new_figure(2.6, phantom=phantom)
+    axes = figure.subplots()
+    axes.axhline(0, color=style.GREY, linewidth=0.6)
+    axes.fill_between(
+        grid, curve["low"], curve["high"], color=style.BLUE, alpha=0.25, label="95 % band", linewidth=0
+    )
+    axes.plot(grid, curve["mean"], color=style.BLUE, label="measured law")
+    axes.set_xlabel(f"{curve['variable']} [{shown}]")
+    axes.set_ylabel(f"{curve['quantity']} [{curve['quantity_unit']}]")
+    axes.legend()
+    return figure
+
+
+def _picture(curve: Mapping[str, Any], *, phantom: bool) -> str:
     with page_style():
-        figure = style.new_figure(2.6, phantom=phantom)
-        axes = figure.subplots()
-        axes.axhline(0, color=style.GREY, linewidth=0.6)
-        axes.fill_between(
-            grid, curve["low"], curve["high"], color=style.BLUE, alpha=0.25, label="95 % band", linewidth=0
-        )
-        axes.plot(grid, curve["mean"], color=style.BLUE, label="measured law")
-        axes.set_xlabel(f"{curve['variable']} [{shown}]")
-        axes.set_ylabel(f"{curve['quantity']} [{curve['quantity_unit']}]")
-        axes.legend()
+        figure = law_figure(curve, phantom=phantom)
         caption = (
             "The measured law over the range that the fitted trial visited, without its linear part: that is stiffness "
             "or damping of the axis."

@@ -17,11 +17,12 @@ import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Candidate, Decision, decide
-from real2sim.diagnosis.free_form import Law, Measured, measure
+from real2sim.diagnosis.free_form import AnyFamily, Law, Measured, measure
 from real2sim.diagnosis.law import named_family, size
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Found, candidates_of
+from real2sim.effects.catalogue import EFFECTS, Effect, are_confusable
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisSettings
@@ -102,14 +103,26 @@ def told_apart(
 
 
 def is_kin(law: Law, named: Hypothesis) -> bool:
-    """Return whether the first family of a law has the kind, stage and an axis of one of the named effects."""
+    """Return whether the first family of a law has the kind, stage and an axis of one of the named effects.
+
+    Or of an effect of another stage that it cannot be told from: what comes in by the measurement looks like a force.
+    """
     family = law.families[0]
     return any(
-        family.stage == p.effect.stage
-        and (family.kind in p.effect.kinds or family.name in p.effect.kinds)
-        and (not p.axes or bool(set(p.axes) & set(family.axes)))
+        _holds(family, e) and (not p.axes or not family.axes or bool(set(p.axes) & set(family.axes)))
         for p in named.effects
+        for e in (p.effect, *_alike_elsewhere(p.effect))
     )
+
+
+def _holds(family: AnyFamily, effect: Effect) -> bool:
+    """Whether an effect is a special case of a family."""
+    return family.stage == effect.stage and (family.kind in effect.kinds or family.name in effect.kinds)
+
+
+def _alike_elsewhere(effect: Effect) -> list[Effect]:
+    """Effects of another stage that take the place of an effect in a fit."""
+    return [e for e in EFFECTS if e.stage != effect.stage and are_confusable(e.name, effect.name)]
 
 
 def chosen(attribution: Attribution, decision: Decision) -> Hypothesis:

@@ -53,7 +53,9 @@ class PlannedForce(DrivenForce):
         kinds: tuple[str, ...] = (),
     ):
         super().__init__(joints)
-        self._plan, self.kinds = plan, kinds
+        self._plan = plan
+        if kinds:
+            self.kinds = kinds
 
     def force(
         self, values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance

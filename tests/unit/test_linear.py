@@ -1,0 +1,61 @@
+"""The linearised simulation: forces of planned motors have the slopes that replays have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real2sim.configuration import validated
+from real2sim.diagnosis import free_form
+from real2sim.diagnosis.described_trial import DescribedTrial
+from real2sim.diagnosis.free_form import Library
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.trials import Trials
+from real2sim.recording.table import Recording
+from real2sim.system.description import shipped_system
+from real2sim.verification.systems import one_axis
+
+CONFIG = validated({}, "config", Path("defaults"))["diagnosis"]
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """Two records of a positioning system that is driven by a force, and its plain fit."""
+    folder = one_axis.simulate_emps("coulomb", 20.4, 1, tmp_path_factory.mktemp("emps"), 4.0)
+    system = shipped_system("emps")
+    records = {n: Recording.read(system, folder / f"{n}.parquet") for n in ("train", "held_out", "quiet")}
+
+    def load(name, settled):
+        evidence = DescribedTrial(system, records[name], records["quiet"], CONFIG["described"]).evidence()
+        return evidence.as_settled() if settled else evidence
+
+    return Trials("train", "held_out", system, load, CONFIG, lambda text: None).prepare()
+
+
+def test_slopes_by_forces_are_those_of_replays(pair, monkeypatch):
+    both, z = pair
+    library = Library(both, 1.0)
+    base = Hypothesis((), z, (np.nan, np.nan))
+    linear = free_form._slopes_of(both.train, library, base)[2]
+    monkeypatch.setattr(free_form, "_on_tangent", lambda *_: None)
+    replayed = free_form._slopes_of(both.train, library, base)[2]
+    apart = np.linalg.norm(linear - replayed, axis=0) / np.linalg.norm(replayed, axis=0)
+    assert np.median(apart) < 0.01
+    assert apart.max() < 0.1
+    assert np.linalg.norm(replayed, axis=0).min() > 0
+
+
+def test_jacobian_by_coefficients_is_that_of_differences(pair, monkeypatch):
+    both, z = pair
+    library = Library(both, 1.0)
+    family = next(f for f in library.forces if f.kind == "dissipative")
+    problem = JointResiduals(both.train, (library.placed(family, 0.1),), both.system, coarse=True)
+    at = np.concatenate([z, np.zeros(len(family.terms))])
+    free = np.arange(len(at))
+    r, fast = problem.with_jacobian(at, free)
+    monkeypatch.setattr(JointResiduals, "_by_forces", lambda *_: None)
+    slow = problem.jacobian(at, r, free)
+    own = slice(len(z), None)
+    np.testing.assert_allclose(fast[:, : len(z)], slow[:, : len(z)])
+    np.testing.assert_allclose(fast[:, own], slow[:, own], atol=0.02 * np.abs(slow[:, own]).max())

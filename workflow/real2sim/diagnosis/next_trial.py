@@ -37,12 +37,16 @@ class Rival:
 def rivals_of(attribution: Attribution, decision: Decision, laws: Sequence[Law]) -> list[Rival]:
     """Return the two likeliest answers: measured laws where nothing is named, then sets by their probability.
 
-    Sets of the same names are one answer.
+    Laws that share families say the same in part and are no rivals; sets of the same names are one answer.
     """
-    out = [
-        Rival(" and ".join(family.key for family in law.families), law.hypothesis)
-        for law in (laws[:2] if decision.chosen is None else ())
-    ]
+    out: list[Rival] = []
+    told: set[str] = set()
+    for law in laws if decision.chosen is None else ():
+        keys = [family.key for family in law.families]
+        if not told & set(keys) and len(out) < 2:
+            more = f" (and {len(keys) - 1} more)" if len(keys) > 1 else ""
+            out.append(Rival(keys[0] + more, law.hypothesis))
+            told |= set(keys)
     named: dict[frozenset[str], Rival] = {}
     for index in np.argsort(-decision.sets):
         hypothesis = attribution.hypotheses[int(index)]

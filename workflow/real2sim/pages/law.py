@@ -91,7 +91,7 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
         return ""
     fitted, held_out = (rounded(x, 2) for x in misfit["left_sd"])
     text = (
-        f"It is named, but its form is not right: {fitted} (fitted trial) and {held_out} (held-out trial) standard "
+        f"The form is not right: with what is named, {fitted} (fitted trial) and {held_out} (held-out trial) standard "
         "deviations of noise are left"
     )
     law = misfit["law"]

@@ -14,7 +14,9 @@ import pytest
 import yaml
 from real2sim.configuration import validated
 from real2sim.recording.ingest import ingest_subject
-from real2sim.recording.noise import Bands, robot_noise
+from real2sim.recording.noise import Bands, NoiseModel, robot_noise
+from real2sim.study.strap_imagined import _moved, imagined, motions
+from real2sim.study.strap_recording import load_evidence
 from real2sim.verification.phantom import tasks
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import Person
@@ -481,6 +483,40 @@ def test_files_are_those_planned_the_same_twice_and_can_be_ingested(written, tmp
             out=tmp_path / name,
         )
         assert (tmp_path / name / "dynamic_2" / "pose.parquet").exists()
+
+
+def test_imagined_trials_are_those_of_the_plain_strap_and_no_larger_than_a_person_can(written, tmp_path):
+    folder, suite, study = written
+    name = plan.case_names(suite, 0)[0]
+    ingest_subject(
+        subject=name, folder=folder / "a/raw" / name, settings=study["ingest"], raw=[], out=tmp_path / name
+    )
+    settings = study | {"plant": study["plant"] | {"timestep_s": 0.01}}
+    neutral = tmp_path / name / "neutral"
+    noise = NoiseModel.measure(neutral, study["ingest"], study["diagnosis"]["noise"])
+    evidence = load_evidence(
+        folder=tmp_path / name / "dynamic_1",
+        neutral=neutral,
+        limits=None,
+        robot=ROBOT,
+        settings=settings,
+        noise=noise,
+    )
+    lower, upper = evidence.setup.system.bounds()
+    parameters = evidence.setup.system.values((lower + upper) / 2)
+    large = np.percentile(np.abs(_moved(evidence)), 95, axis=0)
+    found = list(motions(evidence, ["ty", "rz"]))
+    assert len(found) == 7
+    for motion in found:
+        assert not motion.path[: evidence.context.start].any()
+        assert np.all(np.abs(motion.path).max(axis=0) <= 1.5001 * np.maximum(large, 0.03))
+    new = imagined(evidence, found[0], parameters)
+    paths, joints = new.replay([], 1).run_effects(parameters[None], [])
+    assert np.abs(new.raw(paths, joints)).max() < 1e-9
+    # it begins where the recorded one does, and moves along the axis that was asked for
+    np.testing.assert_allclose(new.trial.interface[0].mean(axis=0), evidence.trial.start_position, atol=1e-3)
+    moved = np.ptp(new.trial.pelvis_position @ evidence.context.pelvis_rotation[0], axis=0)
+    assert moved[1] > 5 * moved[0]
 
 
 def test_the_robots_log_is_as_noisy_as_the_truth_says(written, tmp_path):

@@ -182,10 +182,15 @@ def polynomial(name: str, order: int) -> Basis:
     return basis
 
 
-def modulated(name: str, order: int, by: str) -> Basis:
-    """Return the product of a Legendre polynomial of one variable and another variable, each as it is alone."""
+def modulated(name: str, order: int, by: str, *, squared: bool = False) -> Basis:
+    """Return a Legendre polynomial of one variable times another variable, or times its square with its sign."""
     gain = polynomial(name, order)
-    return lambda of, ranges, step_s: gain(of, ranges, step_s) * ranges[by].clip(of[by].values)
+
+    def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
+        x = ranges[by].clip(of[by].values)
+        return np.asarray(gain(of, ranges, step_s) * (x * np.abs(x) if squared else x))
+
+    return basis
 
 
 def cosine(half_turns: int, by: str = "") -> Basis:
@@ -397,7 +402,10 @@ def _own(axis: str, joint: str) -> Iterator[Family]:
     yield Family("elastic", "interface", "elastic", (axis,), (q,), _one(elastic))
     lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), *(_legendre(v, joint, k) for k in ORDERS)]
     yield Family("dissipative", "interface", "dissipative", (axis,), (v,), _one(lossy))
-    both = [*_gains(q, joint, v), times(joint, {q: 1}, [v], 0.5)]
+    both = [*lossy, *_gains(q, joint, v), times(joint, {q: 1}, [v], 0.5)]
+    both += [
+        Term(f"P{k}({q}) {v} |{v}|", joint, modulated(q, k, v, squared=True), _smooth(k)) for k in (1, 2, 3)
+    ]
     yield Family("damping by coordinate", "interface", "damping by coordinate", (axis,), (q, v), _one(both))
     yield from _with_history("interface", axis, joint, q)
 

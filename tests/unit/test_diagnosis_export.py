@@ -168,7 +168,7 @@ def test_what_is_no_model_says_what_to_do_instead():
     for effect in EFFECTS:
         assert (effect.exported == NATIVE) == (not effect.remedy)
         assert (effect.exported == PLANNED) == isinstance(effect.plant, DrivenForce)
-        chains = effect.chains.input, effect.chains.output
+        chains = effect.chains.input, effect.chains.output, effect.chains.log
         chains += (effect.chains.observation and effect.chains.observation.of_markers,)
         assert (effect.exported == CHAIN) == any(chains)
 

@@ -62,7 +62,9 @@ def law(**changed) -> Effect:
 
 
 def test_the_suite_is_made_of_the_shipped_effects():
-    assert tuple(dict.fromkeys(effect.name for effect in SHIPPED)) == SUITE_EFFECTS
+    # the suite asks for gaps of J, which does not see the robot's log
+    names = dict.fromkeys(effect.name for effect in SHIPPED)
+    assert tuple(name for name in names if name != "log_latency") == SUITE_EFFECTS
 
 
 def test_the_relation_of_confusable_effects_is_symmetric_in_the_entries():

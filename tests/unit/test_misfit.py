@@ -71,7 +71,7 @@ def test_effects_name_families_that_exist():
     unknown = {k for e in EFFECTS for k in e.kinds} - known
     assert not unknown
     # of these, in one form or all, no family holds what they do
-    assert {e.name for e in EFFECTS if not e.kinds} == {"clock_drift", "outliers", "preload"}
+    assert {e.name for e in EFFECTS if not e.kinds} == {"clock_drift", "log_latency", "outliers", "preload"}
 
 
 def test_the_page_says_what_is_left_and_of_what_kind():

@@ -117,7 +117,7 @@ def is_kin(law: Law, named: Hypothesis) -> bool:
 
 def _holds(family: AnyFamily, effect: Effect) -> bool:
     """Whether an effect is a special case of a family."""
-    return family.stage == effect.stage and (family.kind in effect.kinds or family.name in effect.kinds)
+    return family.name in effect.kinds or (family.stage == effect.stage and family.kind in effect.kinds)
 
 
 def _alike_elsewhere(effect: Effect) -> list[Effect]:

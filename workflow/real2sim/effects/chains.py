@@ -122,7 +122,10 @@ class Chains:
     def of_measurement(self) -> bool:
         """Whether the effect is one of the measurement, and no part of a model of the plant."""
         return bool(
-            self.input or self.output or (self.observation is not None and self.observation.of_markers)
+            self.input
+            or self.output
+            or self.log
+            or (self.observation is not None and self.observation.of_markers)
         )
 
     @property

@@ -106,6 +106,10 @@ def late_log(lag_of: Callable[[np.ndarray], np.ndarray]) -> OutputChain:
     return late
 
 
+def _first(values: np.ndarray) -> np.ndarray:
+    return values[:, 0]
+
+
 def _half(values: np.ndarray) -> np.ndarray:
     return values[:, 0] / 2
 
@@ -177,6 +181,18 @@ EFFECTS = (
         chains=Chains(input=later_pelvis, kinds=("late segment",)),
         form="with_log",
         remedy="Replay the pelvis later by the offset, or shift interface markers and robot log earlier by it",
+    ),
+    Effect(
+        "log_latency",
+        "output",
+        "the robot's log alone is late by tau",
+        (EffectParameter("latency", "s", -0.1, 0.25, (0.02,)),),
+        separating_trial="a stop of the robot that markers on it and its log both show",
+        at_rest=AtRest((0.0,)),
+        scope="whole",
+        needs=frozenset({"base"}),
+        chains=Chains(log=late_log(_first)),
+        remedy="Shift the robot's log earlier by the latency before it is compared with the simulation",
     ),
     Effect(
         "clock_drift",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
@@ -23,6 +24,8 @@ _WAY_M = 0.005
 _TURN_RAD = 0.02
 _ANGLE_RAD = 0.1
 _BAND_HZ = 6.0
+# Times [s] after which what trails behind a turn has followed
+_TIMES_S = (0.15, 0.5, 1.5)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,8 @@ def displacements() -> list[Displacement]:
     way = tuple(f"{a} time^{k}" for k in (1, 2, 3) for a in "xyz")
     turned = tuple(f"{a} {n}" for n in ("tilt", "list", "heading") for a in "xyz")
     slow = (1.0,) * 3 + (0.5,) * 3 + (0.33,) * 3
+    trails = turned + tuple(f"{term} relaxing in {t:g} s" for t in _TIMES_S for term in turned)
+    trailing_of = tuple(f"history of pelvis_{n}" for n in ("tilt", "list", "heading"))
     # each marker by itself: one may slide and the other not
     single = tuple(f"{marker} {term}" for term in ("x", "y", "z", *turned) for marker in ("left", "right"))
     apart = tuple(f"{marker} {term}" for term in way for marker in ("left", "right"))
@@ -89,6 +94,14 @@ def displacements() -> list[Displacement]:
             (1.0,) * 24,
             Chains(output=_turned_markers),
         ),
+        Displacement(
+            "trailing markers",
+            "output",
+            trailing_of,
+            trails,
+            (1.0,) * len(trails),
+            Chains(output=_trailing_markers),
+        ),
         Displacement("late segment", "input", ("rate",), lags[:2], (1, 1), Chains(input=_late_segment)),
         Displacement(
             "drifting segment",
@@ -105,6 +118,14 @@ def displacements() -> list[Displacement]:
             turned + tuple(f"r{name}" for name in turned),
             (1.0,) * 18,
             Chains(input=_turned_segment),
+        ),
+        Displacement(
+            "trailing segment",
+            "input",
+            trailing_of,
+            trails,
+            (1.0,) * len(trails),
+            Chains(input=_trailing_segment),
         ),
     ]
 
@@ -152,6 +173,27 @@ def _angles(context: Context) -> np.ndarray:
 def _turned_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     angles = np.column_stack([np.ones(len(context.time_s)), _angles(context)])
     return _moved(paths, angles, values, context)
+
+
+def _trails(context: Context) -> np.ndarray:
+    """Return tilt, list and heading, and by time what of them has not yet been followed, (n, 12) [0.1 rad]."""
+    angles, step_s = _angles(context), 1 / _rate(context)
+    out = [angles]
+    for time_s in _TIMES_S:
+        keep = float(np.exp(-step_s / time_s))
+        followed = lfilter([1 - keep], [1, -keep], angles, axis=0, zi=keep * angles[:1])[0]
+        out.append(angles - followed)
+    return np.hstack(out)
+
+
+def _trailing_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    way = np.einsum("nk,mkc->mnc", _trails(context), values.reshape(len(values), -1, 3))
+    turned = np.einsum("nic,mnc->mni", context.interface_rotation, way)
+    return np.asarray(paths + _WAY_M * turned[:, :, None])
+
+
+def _trailing_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    return _displaced(context, _WAY_M * _trails(context) @ values.reshape(-1, 3))
 
 
 def _moved(paths: np.ndarray, signals_of: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:

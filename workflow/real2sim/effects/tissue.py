@@ -89,7 +89,7 @@ EFFECTS = (
         group="V",
         scope="whole",
         needs=frozenset({"pose"}),
-        chains=Chains(input=wobbling_tissue, kinds=("turned segment",)),
+        chains=Chains(input=wobbling_tissue, kinds=("turned segment", "trailing segment")),
         form="wobble",
         remedy=(
             "Correct the pelvis before it is replayed: add to its pose the lag times its rate and the mobility times"

@@ -1,9 +1,10 @@
 """Laws that nobody listed: which family of forces or displacements explains the gap, and with which coefficients.
 
 Every family is linear in its coefficients, so the simulation linearised along its motion (or one set of replays, where
-it is not smooth) gives the slopes of the residuals of both trials by all basis functions. On that tangent a family has a marginal likelihood in closed form, with the scale
-of its prior estimated (MacKay, Neural Comput. 4 (1992) 415). The best few are refitted on the training trial together
-with the system's parameters, like any effect, and are compared by their evidence on both trials.
+it is not smooth) gives the slopes of the residuals of both trials by all basis functions. On that tangent a family has
+a marginal likelihood in closed form, with the scale of its prior estimated (MacKay, Neural Comput. 4 (1992) 415). The
+best few are refitted on the training trial together with the system's parameters, like any effect, and are compared by
+their evidence on both trials.
 """
 
 from __future__ import annotations

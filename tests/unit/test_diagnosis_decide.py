@@ -293,3 +293,23 @@ def test_the_verdict_is_the_likeliest_effect_whatever_is_beside_it():
     assert max(decision.probabilities, key=lambda name: decision.probabilities[name]) == "filter_lag"
     assert decision.verdict == "filter_lag"
     assert decision.chosen == 1
+
+
+def test_an_effect_on_two_axes_has_one_share_and_no_credit_goes_to_a_form_elsewhere():
+    plain = Candidate((), 0, (50_000.0, 50_000.0))
+    both = Candidate(
+        ("relaxation", "slack"),
+        5,
+        (1_000.0, 1_000.0),
+        places=(("relaxation tx", "relaxation ty"), ("slack rz",)),
+    )
+    here = Candidate(("relaxation",), 4, (9_000.0, 9_000.0), places=(("relaxation tx", "relaxation ty"),))
+    # the same name somewhere else explains nearly all: it is another law, and takes nothing from slack's share
+    elsewhere = Candidate(("relaxation",), 2, (1_900.0, 1_900.0), places=(("relaxation rx",),))
+    slack = Candidate(("slack",), 1, (30_000.0, 30_000.0), places=(("slack rz",),))
+    found = decide(plain, [both, here, elsewhere, slack], (1000, 1000), CALIBRATION)
+    assert found.chosen == 0
+    shares = [found.probabilities[name] for name in ("relaxation", "slack")]
+    assert shares[0] > shares[1] > 0.15
+    unplaced = [Candidate(c.names, c.parameters, c.chi2) for c in (both, here, elsewhere, slack)]
+    assert decide(plain, unplaced, (1000, 1000), CALIBRATION).probabilities["slack"] < 0.1

@@ -12,7 +12,7 @@ from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.free_form import Library, measure, screen, slopes
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.refit import Hypothesis
-from real2sim.diagnosis.search import Search
+from real2sim.diagnosis.search import FAILED, Search
 from real2sim.diagnosis.trials import Trials
 from real2sim.effects.families import (
     POSTURE,
@@ -24,6 +24,7 @@ from real2sim.effects.families import (
     product,
     relaxed,
     stopped,
+    with_rhythm,
 )
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
@@ -161,3 +162,14 @@ def test_the_scale_of_the_prior_is_small_where_there_is_nothing_to_explain(stiff
     assert max(s.gain for s in found) < np.log(len(found)) + 3
     loud = screen(known, library, plain, SEARCH["longest_step"])
     assert loud[0].gain > 100
+
+
+def test_rhythms_of_two_frequencies_act_together(stiff):
+    pair, search, plain = stiff
+    library = Library(pair, FREE["band_share"])
+    history = next(f for f in library.forces if f.is_free and len(f.depends_on) == 1)
+    both = tuple(library.placed(with_rhythm(history, hz), 0.1) for hz in (0.5, 1.5))
+    z = np.concatenate([plain.base, np.zeros(8)])
+    together = search.fit(both, z)
+    assert max(together.chi2) < FAILED
+    assert len({placed.where.element for placed in both}) == 2

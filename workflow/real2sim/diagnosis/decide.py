@@ -30,9 +30,9 @@ ISOLATED = ("outliers",)
 class Candidate:
     """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials.
 
-    ``places`` say where each effect acts and in which form, as strings; names where they are empty. ``makeshift``:
-    together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are what such a
-    cause looks like as often as themselves.
+    ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``, or none.
+    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are
+    what such a cause looks like as often as themselves.
     """
 
     names: tuple[str, ...]
@@ -40,12 +40,17 @@ class Candidate:
     chi2: tuple[float, float]
     makeshift: bool = False
     doubtful: bool = False
-    places: tuple[str, ...] = ()
+    places: tuple[tuple[str, ...], ...] = ()
 
     @property
-    def placed(self) -> tuple[str, ...]:
-        """What tells its effects from those of other sets: places, or names."""
-        return self.places or self.names
+    def placed(self) -> tuple[frozenset[str], ...]:
+        """What tells the effects of each name from those of other sets: their places, or the name."""
+        return tuple(map(frozenset, self.places)) or tuple(frozenset((name,)) for name in self.names)
+
+    @property
+    def everywhere(self) -> frozenset[str]:
+        """All of `placed` together."""
+        return frozenset().union(*self.placed)
 
     @property
     def answer(self) -> tuple[frozenset[str], bool]:
@@ -307,8 +312,8 @@ def _earned(
 
     lost = []
     for own in candidate.placed:
-        others = set(candidate.placed) - {own}
-        without = min(_left(x, c) for x in (plain, *candidates) if set(x.placed) <= others)
+        others = candidate.everywhere - own
+        without = min(_left(x, c) for x in (plain, *candidates) if x.everywhere <= others)
         lost.append(max(without - _left(candidate, c), 1.0))
     return np.array(lost) / sum(lost)
 

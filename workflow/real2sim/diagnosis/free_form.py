@@ -128,7 +128,8 @@ class Library:
             effect = family.effect([scale * w for w in family.weights], _BOUND)
         else:
             effect = self._forced(family, scale)
-        return Placed(effect, Where(self.system, (), 0, "", family.key), self._scales)
+        # rhythms of two frequencies have one key
+        return Placed(effect, Where(self.system, (), 0, "", f"{family.key} {family.name}"), self._scales)
 
     def _forced(self, family: Family, scale: float) -> Effect:
         rows = family.terms
@@ -687,7 +688,12 @@ def _grown(
         promising = [s.family for s in screened[: options["promising"]] if isinstance(s.family, Family)]
         library = trial.library.only([f for f in promising if f not in best.families])
         known = slopes(trial.pair, library, best.hypothesis)
-        further = screen(known, library, best.hypothesis, trial.longest)
+        held = {(f.key, f.name) for f in best.families}
+        further = [
+            s
+            for s in screen(known, library, best.hypothesis, trial.longest)
+            if (s.family.key, s.family.name) not in held
+        ]
         chosen = [
             smoothed(s, known, library, best.hypothesis, trial.longest)
             for s in _diverse(further, options["most"])

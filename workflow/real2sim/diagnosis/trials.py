@@ -230,7 +230,7 @@ def candidates_of(attribution: Attribution, options: DiagnosisSettings) -> tuple
             h.chi2,
             is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise, most_laws_of_axis=most_laws),
             is_doubtful(h.effects),
-            tuple(placed.key for placed in h.effects),
+            tuple(tuple(p.key for p in h.effects if p.effect.name == name) for name in h.names),
         )
         for h in attribution.hypotheses
     ]

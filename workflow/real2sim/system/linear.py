@@ -24,7 +24,7 @@ class Linearised:
     ``simulated`` is the simulation; ``stride`` steps make a sample; the matrices are taken anew every ``every`` steps.
     """
 
-    def __init__(self, simulated: Simulated, stride: int, every: int = 4):
+    def __init__(self, simulated: Simulated, stride: int, every: int = 2):
         self._model, self._stride, self._every = simulated.model, stride, every
         self._steps = len(simulated.control)
         model = simulated.model

@@ -6,7 +6,7 @@ derivatives of a path, drift by powers of time, markers on a body that turns by 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -65,69 +65,47 @@ class Displacement:
         )
 
 
+_LAGS = ("lag", "lag^2", "lag^3")
+_WAY = tuple(f"{a} time^{k}" for k in (1, 2, 3) for a in "xyz")
+_SLOW = (1.0,) * 3 + (0.5,) * 3 + (0.33,) * 3
+_TURNED = tuple(f"{a} {n}" for n in ("tilt", "list", "heading") for a in "xyz")
+_TURNS = ("pelvis_tilt", "pelvis_list", "pelvis_heading")
+_TRAILS = _TURNED + tuple(f"{term} relaxing in {t:g} s" for t in _TIMES_S for term in _TURNED)
+_TRAILING_OF = tuple(f"history of {turn}" for turn in _TURNS)
+
+
 def displacements() -> list[Displacement]:
     """Return all families of displacements of a system whose segment has a pose and whose interface has markers."""
-    lags = ("lag", "lag^2", "lag^3")
-    way = tuple(f"{a} time^{k}" for k in (1, 2, 3) for a in "xyz")
-    turned = tuple(f"{a} {n}" for n in ("tilt", "list", "heading") for a in "xyz")
-    slow = (1.0,) * 3 + (0.5,) * 3 + (0.33,) * 3
-    trails = turned + tuple(f"{term} relaxing in {t:g} s" for t in _TIMES_S for term in turned)
-    trailing_of = tuple(f"history of pelvis_{n}" for n in ("tilt", "list", "heading"))
+    return [*_of_markers(), *_of_segment()]
+
+
+def _of_markers() -> Iterator[Displacement]:
     # each marker by itself: one may slide and the other not
-    single = tuple(f"{marker} {term}" for term in ("x", "y", "z", *turned) for marker in ("left", "right"))
-    apart = tuple(f"{marker} {term}" for term in way for marker in ("left", "right"))
-    return [
-        Displacement("late markers", "output", ("rate",), lags, (1, 1, 1), Chains(output=_late_markers)),
-        Displacement(
-            "drifting markers",
-            "output",
-            ("time",),
-            apart,
-            tuple(w for w in slow for _ in range(2)),
-            Chains(output=_drifting_markers),
-        ),
-        Displacement(
-            "turned markers",
-            "output",
-            ("pelvis_tilt", "pelvis_list", "pelvis_heading"),
-            single,
-            (1.0,) * 24,
-            Chains(output=_turned_markers),
-        ),
-        Displacement(
-            "trailing markers",
-            "output",
-            trailing_of,
-            trails,
-            (1.0,) * len(trails),
-            Chains(output=_trailing_markers),
-        ),
-        Displacement("late segment", "input", ("rate",), lags[:2], (1, 1), Chains(input=_late_segment)),
-        Displacement(
-            "drifting segment",
-            "input",
-            ("time",),
-            way + tuple(f"r{term}" for term in way),
-            slow * 2,
-            Chains(input=_drifting_segment),
-        ),
-        Displacement(
-            "turned segment",
-            "input",
-            ("pelvis_tilt", "pelvis_list", "pelvis_heading"),
-            turned + tuple(f"r{name}" for name in turned),
-            (1.0,) * 18,
-            Chains(input=_turned_segment),
-        ),
-        Displacement(
-            "trailing segment",
-            "input",
-            trailing_of,
-            trails,
-            (1.0,) * len(trails),
-            Chains(input=_trailing_segment),
-        ),
-    ]
+    sides = ("left", "right")
+    single = tuple(f"{marker} {term}" for term in ("x", "y", "z", *_TURNED) for marker in sides)
+    apart = tuple(f"{marker} {term}" for term in _WAY for marker in sides)
+    slow = tuple(w for w in _SLOW for _ in sides)
+    alike, trails = (1.0,) * len(single), (1.0,) * len(_TRAILS)
+    for name, depends_on, terms, weights, chain in (
+        ("late markers", ("rate",), _LAGS, (1.0,) * 3, _late_markers),
+        ("drifting markers", ("time",), apart, slow, _drifting_markers),
+        ("turned markers", _TURNS, single, alike, _turned_markers),
+        ("trailing markers", _TRAILING_OF, _TRAILS, trails, _trailing_markers),
+    ):
+        yield Displacement(name, "output", depends_on, terms, weights, Chains(output=chain))
+
+
+def _of_segment() -> Iterator[Displacement]:
+    # a segment is displaced and turned, the turns after the displacements
+    way, turned = (terms + tuple(f"r{term}" for term in terms) for terms in (_WAY, _TURNED))
+    alike, trails = (1.0,) * len(turned), (1.0,) * len(_TRAILS)
+    for name, depends_on, terms, weights, chain in (
+        ("late segment", ("rate",), _LAGS[:2], (1.0,) * 2, _late_segment),
+        ("drifting segment", ("time",), way, _SLOW * 2, _drifting_segment),
+        ("turned segment", _TURNS, turned, alike, _turned_segment),
+        ("trailing segment", _TRAILING_OF, _TRAILS, trails, _trailing_segment),
+    ):
+        yield Displacement(name, "input", depends_on, terms, weights, Chains(input=chain))
 
 
 def _rate(context: Context) -> float:

@@ -87,7 +87,7 @@ class Fits:
 
 @dataclass(frozen=True)
 class Beyond:
-    """What an answer says beyond names; sections of diagnosis.json, each None where it does not apply.
+    """Sections of diagnosis.json that go beyond names, each None where it does not apply.
 
     ``free_form`` is the measured law where no name fits, ``misfit`` what a named cause leaves, ``could_show`` from
     which size effects would have been seen where there is `none`, ``proposed_trial`` what parts the leading hypotheses.

@@ -44,7 +44,7 @@ class Candidate:
 
     @property
     def placed(self) -> tuple[frozenset[str], ...]:
-        """What tells the effects of each name from those of other sets: their places, or the name."""
+        """Places of the effects of each name, or the name: they tell them from those of other sets."""
         return tuple(map(frozenset, self.places)) or tuple(frozenset((name,)) for name in self.names)
 
     @property

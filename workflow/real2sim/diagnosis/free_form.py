@@ -455,12 +455,12 @@ class Law:
 
     @property
     def is_history(self) -> bool:
-        """Whether its first family has a history of its own in each trial."""
+        """Return whether its first family has a history of its own in each trial."""
         return isinstance(self.families[0], Family) and self.families[0].each_trial
 
     @property
     def is_free(self) -> bool:
-        """Whether its first family has any history, so that it foretells nothing."""
+        """Return whether its first family has any history, so that it foretells nothing."""
         return isinstance(self.families[0], Family) and self.families[0].is_free
 
     @property

@@ -111,7 +111,7 @@ def _equation(pair: Pair, fitted: _Fitted, library: Library) -> list[dict[str, A
     if not isinstance(family, Family):
         return []
     context = pair.train.context
-    if family.name == "external force" or family.name == "gain by history":
+    if family.is_free:
         # a history is no equation
         return []
     out: list[dict[str, Any]] = []

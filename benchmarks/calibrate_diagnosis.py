@@ -1,12 +1,13 @@
-"""Fit the constants of the diagnosis' probabilities (config: diagnosis.calibration) to development cases.
+"""Fit the constants of the judgement (config: diagnosis.calibration) to development cases.
 
-    snakemake --cores 2 suite --config suite=config/suite-development.yaml
-    python benchmarks/calibrate_diagnosis.py results/suite/development
+    snakemake --cores 2 suite --config suite=config/suite-judgement.yaml
+    python benchmarks/calibrate_diagnosis.py results/suite/judgement
 
 Maximises the mean log-probability of the truth (a proper score, so that the probabilities are calibrated) with a weak
 pull to the present constants. A false alarm weighs as much as `--null-weight` other mistakes. Cross-validated over
-folds of cases, so that the printed gain is one that new cases would see. Suites that are scored are refused: their
-names are in config/suite*.yaml, and what has been tuned on is no longer withheld.
+folds of cases, so that the printed gain is one that new cases would see. The sets of effects are those that were
+refitted when the suite was answered; only the judgement is done again. Suites that are scored are refused: what has
+been tuned on is no longer withheld.
 """
 
 from __future__ import annotations
@@ -21,26 +22,24 @@ from typing import Any
 import numpy as np
 import yaml
 from real2sim.artefacts import read_json
-from real2sim.diagnosis.decide import Candidate, decide, logits
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, Decision, decide
+from real2sim.effects.catalogue import EFFECTS
+from real2sim.verification.score_laws import AS_MUCH, STRATA, accepted
 from scipy.optimize import minimize
 
 ROOT = Path(__file__).resolve().parents[1]
-# Constants that scale (searched as ln) and those that shift
-SCALES = (
-    "temperature",
-    "temperature_per_excess",
-    "train_weight",
-    "per_parameter",
-    "second_effect",
-    "second_effect_share",
-    "isolated",
-    "none_gain",
-    "none_temperature",
-    "unknown_unexplained",
-    "unknown_scatter",
+DEVELOPMENT = ("judgement", "development", "freeformdevelopment")
+# Constants that are fitted, all searched as ln; the others are chosen
+FITTED = (
+    "overdispersion",
+    "inexact_ways",
+    "cause_log_odds",
+    "further_log_odds",
+    "even_share",
+    "share_power",
+    "unlisted_odds",
 )
-SHIFTS = ("none", "unknown")
-PULL_SD = {"scale": 1.0, "shift": 3.0}
+PULL_SD = 1.0
 # Probability that no truth falls below: one hopeless case must not decide the constants
 LEAST = 1e-3
 
@@ -59,24 +58,65 @@ class Example:
         """Effects or families of the truth."""
         return tuple(effect.get("family") or effect["effect"] for effect in self.case["effects"])
 
-    def probability(self, constants: dict[str, float]) -> float:
-        """Probability that the decision gives the truth."""
-        z = logits(self.plain, self.candidates, self.samples, constants)
-        p = np.exp(z - z.max())
-        p /= p.sum()
-        stratum = self.case["stratum"]
+    @property
+    def as_good(self) -> list[int]:
+        """Sets of listed effects that are as good as a law which was left out or drawn."""
+        expected, plain = sum(self.samples), sum(self.plain.chi2)
+        most = plain - AS_MUCH * (plain - expected)
+        return [
+            i
+            for i, c in enumerate(self.candidates)
+            if set(c.names) & accepted(self.case) and sum(c.chi2) <= most
+        ]
+
+    def probability(self, decision: Decision) -> float:
+        """Probability that a decision gives the truth."""
+        stratum, p = self.case["stratum"], decision.probabilities
         if stratum.startswith("null"):
-            return float(p[-2])
+            return p[NONE]
+        if stratum in STRATA:
+            return min(p[UNKNOWN] + float(decision.sets[self.as_good].sum()), 1.0)
         if stratum == "out_of_library":
-            return float(p[-1])
+            return p[UNKNOWN]
         wanted = set(self.names)
-        return float(sum(s for c, s in zip(self.candidates, p, strict=False) if set(c.names) == wanted))
+        if len(wanted) == 1:
+            return p[self.names[0]]
+        sets = zip(self.candidates, decision.sets, strict=False)
+        return float(sum(s for c, s in sets if set(c.names) == wanted))
+
+    def right(self, decision: Decision) -> tuple[bool, str]:
+        """Whether the verdict is the truth (or of its family), and the verdict."""
+        stratum, said = self.case["stratum"], decision.verdict
+        if decision.chosen is not None:
+            said = " + ".join(sorted(self.candidates[decision.chosen].names))
+        if stratum in STRATA:
+            return said == UNKNOWN or decision.chosen in self.as_good, said
+        if stratum == "out_of_library":
+            return said == UNKNOWN, said
+        if stratum == "mixture":
+            return said == " + ".join(sorted(set(self.names))), said
+        return decision.verdict == (self.names or (NONE,))[0], said
+
+
+def _candidate(row: dict[str, Any]) -> Candidate:
+    if not row["effects"]:
+        return Candidate(tuple(row["places"]), tuple(row["chi2"]), row["occam"], unlisted=True)
+    places = tuple(tuple(key for key in row["places"] if key.split()[0] == name) for name in row["effects"])
+    ambiguous = any(
+        key.split()[0] == name and key.endswith(form) for key in row["places"] for name, form in _AMBIGUOUS
+    )
+    return Candidate(
+        tuple(row["effects"]), tuple(row["chi2"]), row["occam"], ambiguous=ambiguous, places=places
+    )
+
+
+_AMBIGUOUS = [(effect.name, effect.form) for effect in EFFECTS if effect.indistinguishable]
 
 
 def examples(folder: Path) -> list[Example]:
     """Cases of a suite that has been answered."""
     known = {yaml.safe_load(path.read_text())["name"]: path for path in (ROOT / "config").glob("suite*.yaml")}
-    if folder.name != "development" and folder.name in known:
+    if folder.name not in DEVELOPMENT and folder.name in known:
         sys.exit(f"{folder}: {known[folder.name].name} is a suite that is scored. Calibrate on another one.")
     sealed = {
         c["id"]: c for path in sorted((folder / "sealed").glob("*.json")) for c in read_json(path)["cases"]
@@ -84,41 +124,26 @@ def examples(folder: Path) -> list[Example]:
     out = []
     for path in sorted((folder / "cases").glob("*/diagnosis.json")):
         answer = read_json(path, ("considered", "gap"))
-        rows = [
-            Candidate(tuple(r["effects"]), r["parameters"], tuple(r["chi2"])) for r in answer["considered"]
-        ]
+        sets = [_candidate(row) for row in answer["considered"]]
         gap = answer["gap"]
-        out.append(
-            Example(
-                sealed[answer["subject"]],
-                Candidate((), 0, tuple(gap["chi2_plain"])),
-                rows,
-                tuple(gap["chi2_expected"]),
-            )
-        )
+        plain = Candidate((), tuple(gap["chi2_plain"]))
+        out.append(Example(sealed[answer["subject"]], plain, sets, tuple(gap["chi2_expected"])))
     return out
 
 
-def pack(constants: dict[str, float]) -> np.ndarray:
-    """Searched numbers of the constants."""
-    return np.array([np.log(max(constants[k], 1e-6)) for k in SCALES] + [constants[k] for k in SHIFTS])
-
-
-def unpack(x: np.ndarray, present: dict[str, float]) -> dict[str, float]:
-    """Constants of the searched numbers, and the ``present`` ones that are chosen and not fitted."""
-    values = [*np.exp(x[: len(SCALES)]), *x[len(SCALES) :]]
-    return present | dict(zip((*SCALES, *SHIFTS), map(float, values), strict=True))
+def judged(row: Example, constants: dict[str, float]) -> Decision:
+    """Decide a case anew."""
+    return decide(row.plain, row.candidates, row.samples, constants)
 
 
 def loss(
     x: np.ndarray, rows: list[Example], null_weight: float, start: np.ndarray, present: dict[str, float]
 ) -> float:
     """Mean of minus ln of the truth's probability, weighted, and the pull to the start."""
-    constants = unpack(x, present)
+    constants = present | dict(zip(FITTED, map(float, np.exp(x)), strict=True))
     weights = np.array([null_weight if r.case["stratum"].startswith("null") else 1.0 for r in rows])
-    terms = -np.log(np.maximum([r.probability(constants) for r in rows], LEAST))
-    sd = np.array([PULL_SD["scale"]] * len(SCALES) + [PULL_SD["shift"]] * len(SHIFTS))
-    pull = 0.5 * np.sum(((x - start) / sd) ** 2)
+    terms = -np.log(np.maximum([r.probability(judged(r, constants)) for r in rows], LEAST))
+    pull = 0.5 * np.sum(((x - start) / PULL_SD) ** 2)
     return float((weights @ terms + pull) / weights.sum())
 
 
@@ -129,29 +154,21 @@ def fit(rows: list[Example], start: np.ndarray, null_weight: float, present: dic
     return np.asarray(minimize(loss, start, about, method="Powell", options=options).x)
 
 
-def right(row: Example, constants: dict[str, float]) -> tuple[bool, str]:
-    """Whether the verdict is the truth (or of its family), and the verdict."""
-    d = decide(row.plain, row.candidates, row.samples, constants)
-    stratum = row.case["stratum"]
-    if stratum.startswith("null"):
-        return d.verdict == "none", d.verdict
-    if stratum == "out_of_library":
-        return d.verdict == "unknown", d.verdict
-    chosen = " + ".join(sorted(row.candidates[d.chosen].names)) if d.chosen is not None else d.verdict
-    if stratum == "mixture":
-        return chosen == " + ".join(sorted(set(row.names))), chosen
-    return d.verdict == row.names[0], chosen
-
-
 def table(rows: list[Example], constants: dict[str, float]) -> dict[str, str]:
-    """Verdicts that are right, by stratum and visibility."""
-    counts: dict[str, list[bool]] = {}
+    """Verdicts that are right, and those that are wrong though surer than 0.9, by stratum and visibility."""
+    counts: dict[str, list[tuple[bool, bool]]] = {}
     for row in rows:
         rho = row.case["visibility"]["target"] if row.case["stratum"] == "in_library" else None
+        decision = judged(row, constants)
+        good = row.right(decision)[0]
+        sure = max(decision.probabilities.values()) > 0.9
         counts.setdefault(row.case["stratum"] + (f" {rho}" if rho else ""), []).append(
-            right(row, constants)[0]
+            (good, sure and not good)
         )
-    return {key: f"{sum(v)}/{len(v)}" for key, v in sorted(counts.items())}
+    return {
+        key: f"{sum(g for g, _ in v)}/{len(v)}, wrong and sure {sum(w for _, w in v)}"
+        for key, v in sorted(counts.items())
+    }
 
 
 def main() -> None:
@@ -168,7 +185,7 @@ def main() -> None:
     rows = [row for folder in args.suites for row in examples(folder)]
     config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
     present = config["diagnosis"]["calibration"]
-    start = pack(present)
+    start = np.log([present[key] for key in FITTED])
     print(f"{len(rows)} cases, loss {loss(start, rows, args.null_weight, start, present):.4f}")
     print(json.dumps(table(rows, present), indent=1))
     constants = present
@@ -181,12 +198,14 @@ def main() -> None:
             outside = [rows[i] for i in fold]
             held.append([loss(v, outside, args.null_weight, v, present) for v in (start, x)])
         print(f"cross-validated loss: {np.mean(held, axis=0)[0]:.4f} -> {np.mean(held, axis=0)[1]:.4f}")
-        constants = unpack(fit(rows, start, args.null_weight, present), present)
+        x = fit(rows, start, args.null_weight, present)
+        constants = present | dict(zip(FITTED, map(float, np.exp(x)), strict=True))
         print(json.dumps({k: float(f"{v:.3g}") for k, v in constants.items()}, indent=1))
         print(json.dumps(table(rows, constants), indent=1))
     if args.wrong:
         for row in rows:
-            good, verdict = right(row, constants)
+            decision = judged(row, constants)
+            good, verdict = row.right(decision)
             if not good:
                 forms = [e.get("form") for e in row.case["effects"]]
                 print(
@@ -196,6 +215,7 @@ def main() -> None:
                     row.case["visibility"]["target"],
                     "->",
                     verdict,
+                    f"{decision.probabilities[decision.verdict]:.2f}",
                 )
 
 

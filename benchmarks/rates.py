@@ -35,7 +35,7 @@ from real2sim.artefacts import read_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.diagnosis.refit import JointResiduals
 from real2sim.recording.ingest import ingest_subject
-from real2sim.study.diagnose import _time_step, strap_trials
+from real2sim.study.diagnose import strap_trials, time_step
 from real2sim.verification.answers import HELD_OUT, NEUTRAL, TRAIN, diagnose_cases
 from real2sim.verification.suite.write import write_cases
 
@@ -81,7 +81,7 @@ def settings_for(clock_hz: float, cutoff_hz: float) -> dict[str, Any]:
 def fit_plain(folder: Path, clock_hz: float, cutoff_hz: float, noise_m: float) -> dict[str, Any]:
     """Fit the plain plant to raw exports; return chi-squared over its expectation and the noise over the true one."""
     settings = settings_for(clock_hz, cutoff_hz)
-    settings["plant"] = settings["plant"] | {"timestep_s": _time_step(settings, None)}
+    settings["plant"] = settings["plant"] | {"timestep_s": time_step(settings, None)}
     with tempfile.TemporaryDirectory() as tables, contextlib.redirect_stdout(io.StringIO()):
         out = Path(tables)
         raw = sorted(path for path in folder.iterdir() if path.name != "subject.yaml")

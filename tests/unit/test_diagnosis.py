@@ -98,6 +98,7 @@ def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, first,
 
     monkeypatch.setattr(trials_module, "search_initial_states", lambda trials: (Found(pair, first), None))
     monkeypatch.setattr(trials_module, "conclude", conclusion)
+    monkeypatch.setattr(trials_module, "explains_fitted", lambda found, options: True)
     two = Two("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
     outcome = search_both_ways(two)
     assert outcome.decision.verdict == verdict
@@ -106,12 +107,20 @@ def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, first,
     assert asked == ([("dynamic_2", "dynamic_1", True)] if first == "unknown" else [])
 
 
+@pytest.mark.parametrize(("left", "explained"), [(2_900.0, True), (10_000.0, True), (40_000.0, False)])
+def test_a_trial_that_nothing_explains_is_not_explained_by_fits_to_the_other(left, explained):
+    plain = Hypothesis((), np.zeros(12), (102_880.0, 90_000.0))
+    sets = [Hypothesis((), np.zeros(12), (left, 80_000.0))]
+    found = Found(None, Attribution(plain, sets, [], (2880, 2880), None))
+    assert trials_module.explains_fitted(found, CONFIG["diagnosis"]) is explained
+
+
 @pytest.mark.parametrize(
     ("left", "exchanged"),
     [
         ((2500.0, 16_000.0), True),
         ((2500.0, 2900.0), False),  # nobody shows a gap
-        ((2500.0, 3600.0), False),  # no law could earn its price there
+        ((2500.0, 3250.0), False),  # no law could earn its place there
         ((4000.0, 16_000.0), False),  # both do
         ((16_000.0, 2500.0), False),
     ],

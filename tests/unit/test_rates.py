@@ -14,7 +14,7 @@ from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.recording.jumps import JumpRule
 from real2sim.recording.noise import Bands, LowPass, NoiseModel, robot_noise
-from real2sim.study.diagnose import _time_step
+from real2sim.study.diagnose import time_step
 from real2sim.system.plant import ROBOT_JOINTS
 
 STUDY = validated({}, "config", Path("defaults"))
@@ -203,5 +203,5 @@ def test_a_slower_low_pass_smears_a_jump_further(cutoff):
 )
 def test_the_time_step_divides_the_sample_interval_whatever_the_rate(rate, step):
     settings = deepcopy(STUDY) | {"ingest": ingest(rate, 8)}
-    assert _time_step(settings, None) == pytest.approx(step)
-    assert 1 / rate / _time_step(settings, None) == pytest.approx(round(1 / rate / step))
+    assert time_step(settings, None) == pytest.approx(step)
+    assert 1 / rate / time_step(settings, None) == pytest.approx(round(1 / rate / step))

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 import yaml
 from real2sim.configuration import validated
+from real2sim.effects.base import Placed
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.recording.ingest import ingest_subject
 from real2sim.recording.noise import Bands, NoiseModel, robot_noise
-from real2sim.study.strap_imagined import _moved, imagined, motions
+from real2sim.study.strap_evidence import StrapEvidence
+from real2sim.study.strap_imagined import _moved, imagined, injected, motions
 from real2sim.study.strap_recording import load_evidence
 from real2sim.verification.phantom import tasks
 from real2sim.verification.phantom.motions import Motion, pelvis_path
@@ -517,6 +520,23 @@ def test_imagined_trials_are_those_of_the_plain_strap_and_no_larger_than_a_perso
     np.testing.assert_allclose(new.trial.interface[0].mean(axis=0), evidence.trial.start_position, atol=1e-3)
     moved = np.ptp(new.trial.pelvis_position @ evidence.context.pelvis_rotation[0], axis=0)
     assert moved[1] > 5 * moved[0]
+    _check_injection(evidence, parameters)
+
+
+def _check_injection(evidence: StrapEvidence, parameters: np.ndarray) -> None:
+    """What an effect changes is added to what was measured: a fit with it leaves what one without it left before."""
+    friction = next(e for e in EFFECTS if e.name == "coulomb")
+    evidence = evidence.adapted(parameters)
+    placed = Placed(friction, friction.places(evidence.setup.system)[1], evidence.scales)
+    x = placed.starts()[0]
+    with_it = injected(evidence, placed, x, parameters)
+    before = evidence.raw(*evidence.replay([], 1).run_effects(parameters[None], []))
+    after = with_it.raw(*with_it.replay([placed], 1).run_effects(parameters[None], [x[None]]))
+    plain = with_it.raw(*with_it.replay([], 1).run_effects(parameters[None], []))
+    scale = np.nanmax(np.abs(plain - before))
+    assert scale > 1e-5
+    # the force of friction is planned from nothing that was measured, so that only rounding is left
+    np.testing.assert_allclose(after, before, atol=1e-6 + 0.02 * scale)
 
 
 def test_the_robots_log_is_as_noisy_as_the_truth_says(written, tmp_path):

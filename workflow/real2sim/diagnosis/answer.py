@@ -11,7 +11,7 @@ import numpy as np
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision, averaged, next_trial, share_of_other
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.free_form import Measured, measure
+from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart
@@ -79,10 +79,14 @@ class Cause:
 
 @dataclass(frozen=True)
 class Fits:
-    """Everything that was fitted to two trials, and the fit that an answer rests on."""
+    """Everything that was fitted to two trials, and the fit that an answer rests on.
+
+    ``law`` is the fit with the measured law, where no name fits and one was measured.
+    """
 
     found: Found
     fitted: Hypothesis
+    law: Hypothesis | None = None
 
 
 @dataclass(frozen=True)
@@ -202,11 +206,12 @@ def answer(
         otherwise = _otherwise(other, under_other)
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
-            constants = options["calibration"]
-            share = share_of_other(costs, constants["none_temperature"])
-            decision = averaged(own, under_other, share, constants["ambiguity_probability"])
+            share = share_of_other(costs, options["calibration"])
+            decision = averaged(own, under_other, share, options["calibration"]["ambiguity_probability"])
     account = _Account(found, decision, settings)
     result = account.diagnosis(otherwise)
+    if misfit is not None and misfit.rival is not None:
+        result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged))
     result = account.with_more(result, misfit, progress, imagine)
     if not share or other is None:
         return result
@@ -435,7 +440,10 @@ class _Account:
         beyond = Beyond()
         if decision.verdict == UNKNOWN:
             measured = self._measured(progress) if measured is None else measured
-            beyond = Beyond(free_form=self._free_form(measured))
+            law = self._shown(measured)
+            if law is not None:
+                beyond = Beyond(free_form=self._free_form(measured, law))
+                result = replace(result, fits=replace(result.fits, law=law.hypothesis))
         elif misfit is not None:
             beyond = Beyond(misfit=misfit.to_dict(self._found))
         if result.next_trial is None or imagine is None:
@@ -460,17 +468,17 @@ class _Account:
         start, free, searched = self._nearest().base, options["free_form"], options["search"]
         return measure(self._pair, plain, start, search, free, searched, progress)
 
-    def _free_form(self, measured: Measured) -> dict[str, Any] | None:
-        """Return the measured law; None where none closes enough of the gap on the held-out trial."""
-        options, pair, nearest = self._settings["diagnosis"], self._pair, self._nearest()
-        laws, library = measured.laws, measured.library
-        n = self._attribution.samples[1]
-        shown = [h for h in laws if self._share(h.hypothesis, n) >= options["free_form"]["least_closed"]]
-        if not shown:
-            return None
-        law = shown[0]
+    def _shown(self, measured: Measured) -> Law | None:
+        """The first law that closes enough of the gap on the held-out trial; None where none does."""
+        least, n = self._settings["diagnosis"]["free_form"]["least_closed"], self._attribution.samples[1]
+        return next((law for law in measured.laws if self._share(law.hypothesis, n) >= least), None)
+
+    def _free_form(self, measured: Measured, law: Law) -> dict[str, Any]:
+        """Return what diagnosis.json says of a measured law."""
+        pair, nearest, n = self._pair, self._nearest(), self._attribution.samples[1]
         closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
-        about = describe(pair, law, [other for other in laws if other is not law], library)
+        others = [other for other in measured.laws if other is not law]
+        about = describe(pair, law, others, measured.library)
         about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis, n)}
         about["nearest"] = None
         if nearest.names:
@@ -516,7 +524,7 @@ def _stages(attribution: Attribution, decision: Decision) -> dict[str, float]:
 def _considered(attribution: Attribution, decision: Decision, exchanged: bool) -> list[dict[str, Any]]:
     """Every set of effects that was refitted, places and all, and what it leaves of chi-squared on both trials.
 
-    J is that of the trial that shows the gap.
+    J is that of the trial that shows the gap; ``occam`` is what the marginal likelihood adds to chi-squared.
     """
     return [
         {
@@ -525,10 +533,27 @@ def _considered(attribution: Attribution, decision: Decision, exchanged: bool) -
             "parameters": h.own,
             "chi2": list(h.chi2),
             "J": h.j[0 if exchanged else 1],
+            "occam": h.occam - attribution.plain.occam,
             "probability": float(probability),
         }
         for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
     ]
+
+
+def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool) -> dict[str, Any]:
+    """The measured law that competed with the names, as an entry of ``considered`` without effects."""
+    assert misfit.measured is not None
+    law = misfit.measured.laws[0]
+    h = law.hypothesis
+    return {
+        "effects": [],
+        "places": [family.key for family in law.families],
+        "parameters": law.parameters,
+        "chi2": list(h.chi2),
+        "J": h.j[0 if exchanged else 1],
+        "occam": h.occam - attribution.plain.occam,
+        "probability": misfit.rival,
+    }
 
 
 def _baselines(attribution: Attribution) -> dict[str, str]:

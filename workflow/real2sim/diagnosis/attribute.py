@@ -102,28 +102,12 @@ def plain_fit(
     return np.asarray(best)
 
 
-def is_doubtful(effects: Sequence[Placed]) -> bool:
+def is_ambiguous(effects: Sequence[Placed]) -> bool:
     """Return whether one of the effects fits a law that the catalogue does not hold as often as itself.
 
     Two time constants fit a continuous spectrum of them within seconds.
     """
     return any(p.effect.indistinguishable for p in effects)
-
-
-def is_makeshift(effects: Sequence[Placed], *, leaves_noise: bool, most_laws_of_axis: int) -> bool:
-    """Return whether effects that leave nothing but noise, or more, stand for a cause that the catalogue does not hold.
-
-    Fast and slow relaxation of one axis are what few branches make of a continuous spectrum, as fractional damping has;
-    so are two time constants, but where these leave nothing they are all there is to know. More than
-    ``most_laws_of_axis`` laws fit any other law of one axis.
-    """
-    if not leaves_noise and is_doubtful(effects):
-        return True
-    laws = {(p.where.axes, p.effect.name) for p in effects if len(p.where.axes) == 1}
-    if any(sum(axes == other for other, _ in laws) > most_laws_of_axis for axes, _ in laws):
-        return True
-    branches = [(p.effect.name, p.where.axes) for p in effects if p.effect.name in ("relaxation", "creep")]
-    return any(("creep", axes) in branches for name, axes in branches if name == "relaxation")
 
 
 def attribute(
@@ -148,7 +132,8 @@ def attribute(
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
-    quiet = calibration is not None and is_out_of_reach(plain.chi2, count, calibration)
+    least = settings["questionable_probability"]
+    quiet = calibration is not None and is_out_of_reach(plain.chi2, count, least, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     hypotheses = _other_forms(search, hypotheses, singles, plain)
     if not quiet:
@@ -159,7 +144,7 @@ def attribute(
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
         left = sum(hypotheses[0].chi2) - sum(count)
-        others = calibration is None or left > further_price(plain.chi2, count, calibration)
+        others = calibration is None or left > further_price(calibration)
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings, others=others)
         # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
         near = bool(more) and _earned(search, hypotheses[0], more[0]) >= settings["grow_share"]

@@ -1,10 +1,12 @@
 """From fits to an answer: probabilities over effects, `none` and `unknown`, the ambiguity group and the next trial.
 
-Every refitted set of effects is scored by what it leaves of chi-squared on the training and the held-out trial. The
-scores become probabilities by a softmax whose temperature grows with what even the best set leaves over: where the
-model is not exact, small differences mean nothing. `none` is the plain plant; `unknown` grows with the share of the gap
-that nothing in the catalogue explains, and the more so where different effects explain the rest equally badly. The
-constants are in the configuration, ``diagnosis.calibration``.
+A refitted set of effects has an evidence: the marginal likelihood of the training trial (Laplace's approximation) times
+the likelihood of the held-out one, both as a deviance in units of chi-squared. The likelihood has a heavier tail than
+noise alone: models are inexact in a few ways that no noise describes, and where even the best set leaves something, a
+difference of that size means nothing. To that come prior probabilities: of any cause against `none`, of every further
+one, and of a cause that the catalogue does not hold, the larger the more is left of the gap. The constants are in the
+configuration, ``diagnosis.calibration``; ``benchmarks/calibrate_diagnosis.py`` fits them to development cases, by the
+logarithm of the probability that the truth gets.
 """
 
 from __future__ import annotations
@@ -28,19 +30,25 @@ ISOLATED = ("outliers",)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects as the decision sees it: names, free parameters, chi-squared on both trials.
+    """A set of effects as the decision sees it: names and chi-squared on both trials.
 
-    ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``, or none.
-    ``makeshift``: together its effects are the sign of a cause that the catalogue does not hold; ``doubtful``: they are
-    what such a cause looks like as often as themselves.
+    ``occam`` is what the marginal likelihood adds to chi-squared (`JointResiduals.occam_of`), less what it adds for the
+    plain plant. ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``,
+    or none. ``unlisted``: a law without a name; ``ambiguous``: one of its effects stands for laws without a name as
+    often as for itself.
     """
 
     names: tuple[str, ...]
-    parameters: int
     chi2: tuple[float, float]
-    makeshift: bool = False
-    doubtful: bool = False
+    occam: float = 0.0
+    unlisted: bool = False
+    ambiguous: bool = False
     places: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the logarithm of its evidence, but for what all candidates have in common."""
+        return sum(self.chi2) + self.occam
 
     @property
     def placed(self) -> tuple[frozenset[str], ...]:
@@ -55,7 +63,7 @@ class Candidate:
     @property
     def answer(self) -> tuple[frozenset[str], bool]:
         """What it says of the cause: the same for every order, form and place of its effects."""
-        return frozenset(self.names), self.makeshift
+        return frozenset(self.names), self.unlisted
 
 
 @dataclass(frozen=True)
@@ -69,63 +77,73 @@ class Decision:
     chosen: int | None
 
 
+def _gap(plain: Candidate, samples: tuple[int, int]) -> float:
+    """Chi-squared of both trials that the plain plant leaves above its expectation, at least its SD."""
+    n = sum(samples)
+    return max(sum(plain.chi2) - n, float(np.sqrt(2 * n)))
+
+
 def unexplained(
     plain: Candidate,
     candidates: Sequence[Candidate],
     samples: tuple[int, int],
     c: DiagnosisCalibrationSettings,
 ) -> float:
-    """Share of the gap that even the best set leaves, less what noise may leave: 0 where all of it is explained."""
-    total, n = sum(plain.chi2), sum(samples)
-    best = min((_least(x, c) for x in candidates), default=total)
-    spread = np.sqrt(2 * n)
-    left = min(best, total) - (1 + c["granted_share"]) * n - c["granted_sd"] * spread
-    return float(max(left, 0.0) / max(total - n, spread))
+    """Share of the gap that even the best set leaves beyond noise: 0 where all of it is explained.
 
-
-def further_price(
-    plain: tuple[float, float], samples: tuple[int, int], c: DiagnosisCalibrationSettings
-) -> float:
-    """What a second and every further law must take from chi-squared, given that of the plain plant on both trials.
-
-    It must earn something in itself and, lest it mend the form of another, beside the gap.
+    The level of noise is known to ``noise_share``.
     """
-    return c["second_effect"] + c["second_effect_share"] * max(sum(plain) - sum(samples), 0.0)
+    best = min(sum(x.chi2) for x in (plain, *candidates))
+    return max(best - (1 + c["noise_share"]) * sum(samples), 0.0) / _gap(plain, samples)
 
 
-def gain_of_a_law(parameters: int, c: DiagnosisCalibrationSettings) -> float:
-    """Chi-squared, the training trial weighted, from which on a law of some parameters is likelier than `none`."""
-    return c["none_gain"] + c["per_parameter"] * parameters
+def log_likelihood(difference: float, left: float, c: DiagnosisCalibrationSettings) -> float:
+    """Logarithm of the likelihood ratio for a deviance that is larger by ``difference`` than the best one.
+
+    ``left`` is what the best set leaves beyond noise. That of Student's distribution with as many degrees of freedom as
+    a model has ways of being inexact: a Gaussian of ``overdispersion`` for small differences, logarithmic beyond.
+    """
+    width = c["overdispersion"] * c["inexact_ways"] + left
+    return -c["inexact_ways"] / 2 * float(np.log1p(difference / width))
+
+
+def difference_for(log_odds: float, c: DiagnosisCalibrationSettings) -> float:
+    """Return the difference in deviance that makes up for prior odds, where the better set leaves only noise."""
+    return c["overdispersion"] * c["inexact_ways"] * float(np.expm1(2 * log_odds / c["inexact_ways"]))
+
+
+def further_price(c: DiagnosisCalibrationSettings) -> float:
+    """Return what a second and every further effect must take from the deviance to be likelier than without it."""
+    return difference_for(c["further_log_odds"], c)
+
+
+def gain_of_a_law(c: DiagnosisCalibrationSettings) -> float:
+    """Return the gain in deviance from which on a cause is likelier than `none`."""
+    return difference_for(c["cause_log_odds"], c)
 
 
 def is_out_of_reach(
-    plain: tuple[float, float], samples: tuple[int, int], c: DiagnosisCalibrationSettings
+    plain: tuple[float, float], samples: tuple[int, int], questionable: float, c: DiagnosisCalibrationSettings
 ) -> bool:
     """Whether the plain plant leaves so little that even a law which explained all of it would not be believed.
 
-    Given chi-squared of the plain plant on both trials; ``granted_sd`` of what noise leaves are granted to that law.
+    Given chi-squared of the plain plant on both trials; two standard deviations of what noise leaves are granted to
+    that law, and it has to be as likely as ``questionable``.
     """
-    weights = np.array([c["train_weight"], 1.0])
-    gain = float(weights @ (np.array(plain) - samples)) + c["granted_sd"] * float(
-        np.sqrt(weights**2 @ (2 * np.array(samples)))
-    )
-    return bool(
-        (c["none_gain"] - gain) / c["none_temperature"] > np.log(1 / c["questionable_probability"] - 1)
-    )
-
-
-def _least(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
-    """Chi-squared of both trials that a set leaves, and what its free parameters count for."""
-    return sum(candidate.chi2) + c["chance_per_parameter"] * candidate.parameters
-
-
-def _left(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
-    """What a set leaves of chi-squared, the training trial weighted."""
-    return c["train_weight"] * candidate.chi2[0] + candidate.chi2[1]
+    n = sum(samples)
+    gain = max(sum(plain) - n + 2 * float(np.sqrt(2 * n)), 0.0)
+    log_odds = -c["cause_log_odds"] - log_likelihood(gain, 0.0, c)
+    return bool(log_odds < np.log(questionable / (1 - questionable)))
 
 
 def _laws(candidate: Candidate) -> int:
     return sum(name not in ISOLATED for name in candidate.names)
+
+
+def _further(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
+    """Logarithm of the prior odds against the effects of a set beside its first law."""
+    laws = _laws(candidate)
+    return c["further_log_odds"] * (max(laws - 1, 0) + len(candidate.names) - laws)
 
 
 def logits(
@@ -134,50 +152,41 @@ def logits(
     samples: tuple[int, int],
     c: DiagnosisCalibrationSettings,
 ) -> np.ndarray:
-    """Unnormalised log-probabilities of the candidates, then of none and unknown."""
-    best_chi2 = min(sum(plain.chi2), *(_least(x, c) for x in candidates), np.inf)
-    temperature = c["temperature"] + c["temperature_per_excess"] * max(best_chi2 - sum(samples), 0.0)
+    """Log-odds against none of the candidates, then of none (0) and unknown.
 
-    further = further_price(plain.chi2, samples, c)
+    First a cause competes with none, by what the best set gains, or what one that is not listed would if it left only
+    noise. What a cause has is shared out between the listed sets, by their evidence, and `unknown`, by what they leave.
+    """
+    noise = (1 + c["noise_share"]) * sum(samples)
+    share = unexplained(plain, candidates, samples, c)
+    odds = (share / c["even_share"]) ** c["share_power"]
 
-    def score(candidate: Candidate) -> float:
-        price = c["per_parameter"] * candidate.parameters
-        price += c["isolated"] * (len(candidate.names) - _laws(candidate))
-        price += further * max(_laws(candidate) - 1, 0)
-        return -(_left(candidate, c) + price) / temperature
+    def gained(deviance: float) -> float:
+        return -log_likelihood(max(plain.deviance - deviance, 0.0), 0.0, c)
 
-    best = max([score(x) for x in candidates] + [score(plain)])
+    # jumps are no law, and stand beside none at their own odds
+    rows = np.array([gained(x.deviance) - _further(x, c) for x in candidates])
+    laws = np.array([_laws(x) > 0 for x in candidates], dtype=bool)
+    if laws.any():
+        # that many laws compete is no reason to believe in one of them
+        together = rows[laws].max() - c["cause_log_odds"] - np.log1p(odds)
+        rows[laws] = _among(
+            [x for x, law in zip(candidates, laws, strict=True) if law], share * _gap(plain, samples), c
+        )
+        rows[laws] += together
+    # something that is not listed explains all but noise, or looks the same as what is listed
+    unknown = gained(min(noise, plain.deviance)) - c["cause_log_odds"] - np.log1p(1 / max(odds, 1e-300))
+    alike = np.log(c["unlisted_odds"]) + float(np.logaddexp.reduce(rows[laws], initial=-np.inf))
+    return np.array([*rows, 0.0, np.logaddexp(unknown, alike)])
+
+
+def _among(sets: Sequence[Candidate], left: float, c: DiagnosisCalibrationSettings) -> np.ndarray:
+    """Log-probabilities of sets beside each other, where even the best one leaves so much beyond noise."""
+    best = min(x.deviance for x in sets)
+    own = [log_likelihood(x.deviance - best, left, c) - _further(x, c) for x in sets]
     # an effect has no better chance for having many forms and places: its best one counts, the others share with it
-    rows = _shared([score(x) - best for x in candidates], [x.answer for x in candidates])
-    # a first law has to earn its price, and near that price less is certain than between what two laws leave; jumps
-    # are no law and stand beside none at their own price
-    none = (temperature * (score(plain) - best) + c["none_gain"]) / max(c["none_temperature"], temperature)
-    none += c["none"]
-    rows = [
-        row if _laws(x) else none + score(x) - score(plain) for row, x in zip(rows, candidates, strict=True)
-    ]
-    scatter = _scatter(plain, candidates, np.array(rows), c)
-    # odds against all laws together: that many of them compete is no reason to believe in one of them
-    of_laws = [row for row, x in zip(rows, candidates, strict=True) if _laws(x)]
-    unknown = c["unknown"] + float(np.logaddexp.reduce(of_laws) if of_laws else 0.0)
-    unknown += c["unknown_unexplained"] * np.log(
-        max(unexplained(plain, candidates, samples, c), c["least_unexplained"])
-    )
-    unknown += c["unknown_scatter"] * np.log(max(scatter, c["least_scatter"]))
-    return np.array([*rows, none, unknown])
-
-
-def _scatter(
-    plain: Candidate, candidates: Sequence[Candidate], rows: np.ndarray, c: DiagnosisCalibrationSettings
-) -> float:
-    """How much of the effects' probability does not belong to the likeliest one: 0 where one effect has it all."""
-    named = [i for i, candidate in enumerate(candidates) if not candidate.makeshift]
-    if not named:
-        return 1.0
-    p = np.zeros(len(rows))
-    p[named] = np.exp(rows[named] - rows[named].max())
-    shares = _shares(plain, candidates, p, c)
-    return 1 - max(shares.values()) / sum(shares.values())
+    rows = np.array(_shared(own, [x.answer for x in sets]))
+    return np.asarray(rows - np.logaddexp.reduce(rows))
 
 
 def _shared(rows: Sequence[float], answers: Sequence[Hashable]) -> list[float]:
@@ -201,21 +210,21 @@ def decide(
     p = np.exp(z - z.max())
     p /= p.sum()
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
-    makeshift = np.array([candidate.makeshift for candidate in candidates], dtype=bool)
+    unlisted = np.array([candidate.unlisted for candidate in candidates], dtype=bool)
     sets = p[: len(candidates)]
-    doubt = calibration["doubtful"] * _doubted(candidates, z)
-    probabilities |= _shares(plain, candidates, sets * (1 - doubt), calibration)
+    doubt = calibration["ambiguous_share"] * _doubted(candidates, z)
+    probabilities |= _shares(plain, candidates, sets * (1 - doubt))
     probabilities[NONE] = float(p[-2])
-    probabilities[UNKNOWN] = float(p[-1] + sets[makeshift].sum() + (sets * doubt)[~makeshift].sum())
+    probabilities[UNKNOWN] = float(p[-1] + sets[unlisted].sum() + (sets * doubt)[~unlisted].sum())
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
     # likeliest places and forms
-    likeliest_effect = _likeliest_effect(candidates, sets, makeshift)
-    open_to = ~makeshift & np.array([likeliest_effect in x.names for x in candidates], dtype=bool)
+    likeliest_effect = _likeliest_effect(candidates, sets, unlisted)
+    open_to = ~unlisted & np.array([likeliest_effect in x.names for x in candidates], dtype=bool)
     named = np.where(open_to, sets, -1.0)
     likeliest = np.where(open_to, together, -1.0)
-    chosen = int(np.lexsort((named, likeliest))[-1]) if not makeshift.all() else None
+    chosen = int(np.lexsort((named, likeliest))[-1]) if not unlisted.all() else None
     if chosen is None or max(probabilities[NONE], probabilities[UNKNOWN]) >= effects:
         verdict = NONE if probabilities[NONE] >= probabilities[UNKNOWN] else UNKNOWN
         return Decision(probabilities, sets, verdict, (verdict,), None)
@@ -226,17 +235,19 @@ def decide(
 
 
 def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
-    """Which candidates (n,) give an answer whose likeliest form, by log-probabilities ``z``, is doubtful."""
+    """Which candidates (n,) give an answer whose likeliest form, by log-probabilities ``z``, is ambiguous."""
     best: dict[tuple[frozenset[str], bool], int] = {}
     for i, candidate in enumerate(candidates):
         if candidate.answer not in best or z[i] > z[best[candidate.answer]]:
             best[candidate.answer] = i
-    return np.array([candidates[best[x.answer]].doubtful for x in candidates], dtype=float)
+    return np.array([candidates[best[x.answer]].ambiguous for x in candidates], dtype=float)
 
 
-def share_of_other(costs: tuple[float, float], temperature: float) -> float:
+def share_of_other(costs: tuple[float, float], c: DiagnosisCalibrationSettings) -> float:
     """Probability of the other hold, of the costs (`cost_of_answer`) of the answers for one and the other."""
-    return 1 / (1 + float(np.exp(np.clip((costs[1] - costs[0]) / temperature, -50, 50))))
+    better = min(costs)
+    own, other = (log_likelihood(cost - better, 0.0, c) for cost in costs)
+    return float(1 / (1 + np.exp(np.clip(own - other, -50, 50))))
 
 
 def averaged(decision: Decision, other: Decision, share: float, ambiguity_probability: float) -> Decision:
@@ -259,7 +270,7 @@ def cost_of_answer(
     samples: tuple[int, int],
     calibration: DiagnosisCalibrationSettings,
 ) -> float:
-    """What the answer leaves of chi-squared on both trials, and a price for its parameters and laws.
+    """Deviance of what the answer names, and the price of a further effect for each of its effects.
 
     It tells which of two ways to hold the robot is the better one. A static law does under one what no law has to under
     the other, so that a law costs little here beside what it must earn to be named. Where the answer is `unknown`, the
@@ -271,37 +282,32 @@ def cost_of_answer(
     elif decision.verdict == NONE:
         answer = plain
     else:
-        answer = min((plain, *candidates), key=lambda x: sum(x.chi2))
-    price = calibration["per_parameter"] * answer.parameters + calibration["law_of_hold"] * _laws(answer)
-    return sum(answer.chi2) + price
+        answer = min((plain, *candidates), key=lambda x: x.deviance)
+    return answer.deviance + further_price(calibration) * _laws(answer)
 
 
-def _shares(
-    plain: Candidate, candidates: Sequence[Candidate], p: np.ndarray, c: DiagnosisCalibrationSettings
-) -> dict[str, float]:
+def _shares(plain: Candidate, candidates: Sequence[Candidate], p: np.ndarray) -> dict[str, float]:
     """Probability of each effect from that of the sets, ``p`` (candidates,): a set's is shared by what they earn."""
     shares: dict[str, float] = {}
     for candidate, of_set in zip(candidates, p, strict=True):
-        if not candidate.makeshift:
-            earned = _earned(candidate, plain, candidates, c)
+        if not candidate.unlisted:
+            earned = _earned(candidate, plain, candidates)
             for name, part in zip(candidate.names, earned, strict=True):
                 shares[name] = shares.get(name, 0.0) + float(of_set * part)
     return shares
 
 
-def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, makeshift: np.ndarray) -> str | None:
+def _likeliest_effect(candidates: Sequence[Candidate], sets: np.ndarray, unlisted: np.ndarray) -> str | None:
     """Effect whose sets are the likeliest together; None without a set."""
     held: dict[str, float] = {}
-    for candidate, of_set, makes_do in zip(candidates, sets, makeshift, strict=True):
+    for candidate, of_set, makes_do in zip(candidates, sets, unlisted, strict=True):
         if not makes_do:
             for name in set(candidate.names):
                 held[name] = held.get(name, 0.0) + float(of_set)
     return max(held, key=lambda name: held[name], default=None)
 
 
-def _earned(
-    candidate: Candidate, plain: Candidate, candidates: Sequence[Candidate], c: DiagnosisCalibrationSettings
-) -> np.ndarray:
+def _earned(candidate: Candidate, plain: Candidate, candidates: Sequence[Candidate]) -> np.ndarray:
     """Shares (names,) of a set's probability, by what the set loses when it has to do without each effect.
 
     What would be left then is read off the best fit that has only the others, at their places; effects that earn alike
@@ -313,8 +319,8 @@ def _earned(
     lost = []
     for own in candidate.placed:
         others = candidate.everywhere - own
-        without = min(_left(x, c) for x in (plain, *candidates) if x.everywhere <= others)
-        lost.append(max(without - _left(candidate, c), 1.0))
+        without = min(sum(x.chi2) for x in (plain, *candidates) if x.everywhere <= others)
+        lost.append(max(without - sum(candidate.chi2), 1.0))
     return np.array(lost) / sum(lost)
 
 

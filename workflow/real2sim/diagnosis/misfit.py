@@ -34,7 +34,8 @@ class Misfit:
 
     ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
     ``share``: of what the plain plant leaves beyond noise, on both trials. ``measured`` are the laws without a name,
-    None where nothing is left that they could explain; ``law`` is the family that explains most beside the set.
+    None where nothing is left that they could explain; ``law`` is the family that explains most beside the set;
+    ``rival`` is the probability of the first of the measured laws, None where it does not compete.
     """
 
     sd: tuple[float, float]
@@ -42,6 +43,7 @@ class Misfit:
     marked: bool
     measured: Measured | None = None
     law: Law | None = None
+    rival: float | None = None
 
     def to_dict(self, found: Found) -> dict[str, Any]:
         """Return the entry ``misfit`` of diagnosis.json."""
@@ -86,19 +88,20 @@ def told_apart(
     named = chosen(found.attribution, decision)
     if misfit.measured is None or not misfit.measured.laws:
         return decision, misfit
-    law = misfit.measured.laws[0]
+    measured, law = misfit.measured, misfit.measured.laws[0]
     if not is_kin(law, named):
-        plain, sets = candidates_of(found.attribution, options)
-        rival = Candidate(
-            tuple(f.key for f in law.families), law.parameters, law.hypothesis.chi2, makeshift=True
-        )
+        plain, sets = candidates_of(found.attribution)
+        names = tuple(f.key for f in law.families)
+        occam = law.hypothesis.occam - found.attribution.plain.occam
+        rival = Candidate(names, law.hypothesis.chi2, occam, unlisted=True)
         with_rival = decide(plain, [*sets, rival], found.attribution.samples, options["calibration"])
+        misfit = replace(misfit, rival=float(with_rival.sets[-1]))
         decision = replace(with_rival, sets=with_rival.sets[:-1])
         if decision.chosen is None:
             return decision, misfit
     free = options["free_form"]
     share = options["search"]["grow_share"]
-    beside = misfit.measured.on_top(named, free["promising"], free["most"], share)
+    beside = measured.on_top(named, free["promising"], free["most"], share)
     return decision, replace(misfit, law=beside)
 
 

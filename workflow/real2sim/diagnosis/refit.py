@@ -25,7 +25,8 @@ class Hypothesis:
     """Effects with fitted values: searched numbers ``z`` (n + p,) of n parameters and of the effects, and chi-squared.
 
     ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays;
-    ``converged``: it was refitted to the end.
+    ``converged``: it was refitted to the end. ``occam``: what Laplace's approximation of the marginal likelihood of the
+    training trial adds to chi-squared (`occam_of`).
     """
 
     effects: tuple[Placed, ...]
@@ -34,6 +35,7 @@ class Hypothesis:
     j: tuple[float, float] = (np.nan, np.nan)
     evaluations: int = 0
     converged: bool = False
+    occam: float = 0.0
 
     @property
     def own(self) -> int:
@@ -109,6 +111,7 @@ class JointResiduals(least_squares.Residuals):
         here = ~fitted if evidence.held_out else fitted
         self.free = np.flatnonzero(here & (self.upper - self.lower > NO_RANGE))
         self.evaluations = 0
+        self.last: np.ndarray | None = None
 
     def many(self, z: np.ndarray) -> np.ndarray:
         """Residuals (m, n_r) of points (m, n + p)."""
@@ -144,7 +147,14 @@ class JointResiduals(least_squares.Residuals):
         return r, self.jacobian(z, r, free)
 
     def jacobian(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """As of `least_squares.Residuals`; by coefficients of planned forces from the linearised simulation."""
+        """As of `least_squares.Residuals`; by coefficients of planned forces from the linearised simulation.
+
+        The last one is kept in ``last``.
+        """
+        self.last = self._slopes_by(z, r, free)
+        return self.last
+
+    def _slopes_by(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
         forces = self._is_force()[free]
         by_forces = self._by_forces(z, free[forces]) if forces.any() else None
         if by_forces is None:
@@ -153,6 +163,23 @@ class JointResiduals(least_squares.Residuals):
         out[:, forces] = by_forces
         out[:, ~forces] = super().jacobian(z, r, free[~forces])
         return out
+
+    def occam_of(self, z: np.ndarray, jacobian: np.ndarray) -> float:
+        """Return what the marginal likelihood adds to chi-squared, by a Jacobian (n_r, k) in the coordinates ``free``.
+
+        Twice the negative logarithm of the share of the prior that the data leave, and the squared distance from the
+        prior's mean (Laplace's approximation; MacKay, Neural Comput. 4 (1992) 415). A coordinate without a prior has a
+        uniform one between its bounds; one that the data do not determine costs nothing.
+        """
+        free = self.free
+        uniform = ~np.isfinite(self.prior_sd[free])
+        width = self.upper[free] - self.lower[free]
+        sd = np.where(uniform, width / np.sqrt(12), self.prior_sd[free])
+        curvature = jacobian.T @ jacobian
+        curvature[np.diag_indices_from(curvature)] += np.where(uniform, 1 / sd**2, 0.0)
+        _, log_volume = np.linalg.slogdet(curvature * np.outer(sd, sd))
+        away = ((z - self.prior_mean)[free] / sd)[~uniform]
+        return float(log_volume + away @ away)
 
     def _is_force(self) -> np.ndarray:
         """Which coordinates (n + p,) are coefficients that a planned force is linear in."""

@@ -97,6 +97,10 @@ class Search:
             # what the verdict rests on takes a new Jacobian at every step
             iterations, ftol, keep = own["final_iterations"], own["final_ftol"], 0.0
         z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=keep, known=tangent)
+        slopes = residuals.last
+        if slopes is None and tangent is not None:
+            slopes = tangent.jacobian[:, residuals.free]
+        occam = 0.0 if slopes is None else residuals.occam_of(z, slopes)
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.system, coarse=not final)
         if len(held_out.free):
             z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
@@ -106,7 +110,7 @@ class Search:
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
         (train, j_train), (other, j_other) = judged.tolist()
-        return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count, final)
+        return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count, final, occam)
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
         """Those of the training trial; what is only searched with does not need the finest time step."""

@@ -18,8 +18,7 @@ from real2sim.diagnosis.attribute import (
     attribute,
     candidates,
     finished,
-    is_doubtful,
-    is_makeshift,
+    is_ambiguous,
     plain_fit,
     without_names,
 )
@@ -105,7 +104,7 @@ class Found:
 
     def cost(self, options: DiagnosisSettings) -> float:
         """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
-        sets = candidates_of(self.attribution, options)
+        sets = candidates_of(self.attribution)
         return cost_of_answer(*sets, self.attribution.samples, options["calibration"])
 
 
@@ -190,11 +189,12 @@ def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
 def search_both_ways(trials: Trials) -> Outcome:
     """As `search_initial_states`, with the trials exchanged where nothing fitted to the first explains the second.
 
-    A stop that the first hardly reaches is shown by the second alone.
+    A stop that the first hardly reaches is shown by the second alone. Where nothing explains the first trial itself,
+    nothing that is fitted to the second would.
     """
     found, other = search_initial_states(trials)
     decision = conclude(found, trials.options)
-    if decision.verdict != UNKNOWN or found.pair.exchanged:
+    if decision.verdict != UNKNOWN or found.pair.exchanged or not explains_fitted(found, trials.options):
         return Outcome(found, decision, other, False)
     trials.progress(
         f"nothing fitted to {trials.train} explains {trials.held_out}: searched once more the other way"
@@ -206,6 +206,14 @@ def search_both_ways(trials: Trials) -> Outcome:
     return Outcome(again, second, other, True)
 
 
+def explains_fitted(found: Found, options: DiagnosisSettings) -> bool:
+    """Return whether some set leaves so little of the trial that it was fitted to that `unknown` is less likely."""
+    attribution, c = found.attribution, options["calibration"]
+    n, plain = attribution.samples[0], attribution.plain.chi2[0]
+    best = min((h.chi2[0] for h in attribution.hypotheses), default=plain)
+    return bool(best - (1 + c["noise_share"]) * n <= c["even_share"] * max(plain - n, 0.0))
+
+
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSettings) -> bool:
     """Return whether the plain fit (n,) leaves only noise of the fitted trial, and of the other enough to explain.
 
@@ -214,23 +222,22 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSett
     left = [JointResiduals(e, (), pair.system).judged(z)[0] for e in (pair.train, pair.held_out)]
     samples = (pair.train.samples, pair.held_out.samples)
     noise = samples[0] + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples[0])
-    quiet = left[0] < noise
-    return bool(quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], options["calibration"]))
+    quiet, least = left[0] < noise, options["search"]["questionable_probability"]
+    return bool(
+        quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], least, options["calibration"])
+    )
 
 
-def candidates_of(attribution: Attribution, options: DiagnosisSettings) -> tuple[Candidate, list[Candidate]]:
-    """Return the plain plant and every refitted set as the decision sees them; ``options``: slice ``diagnosis``."""
-    samples = sum(attribution.samples)
-    noise = samples + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples)
-    most_laws = options["calibration"]["most_laws_of_axis"]
-    return Candidate((), 0, attribution.plain.chi2), [
+def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
+    """Return the plain plant and every refitted set as the decision sees them."""
+    plain = attribution.plain
+    return Candidate((), plain.chi2), [
         Candidate(
             h.names,
-            h.own,
             h.chi2,
-            is_makeshift(h.effects, leaves_noise=sum(h.chi2) < noise, most_laws_of_axis=most_laws),
-            is_doubtful(h.effects),
-            tuple(tuple(p.key for p in h.effects if p.effect.name == name) for name in h.names),
+            h.occam - plain.occam,
+            ambiguous=is_ambiguous(h.effects),
+            places=tuple(tuple(p.key for p in h.effects if p.effect.name == name) for name in h.names),
         )
         for h in attribution.hypotheses
     ]
@@ -241,7 +248,7 @@ def conclude(found: Found, options: DiagnosisSettings) -> Decision:
     pair, attribution = found.pair, found.attribution
     converged: set[int] = set()
     while True:
-        plain, sets = candidates_of(attribution, options)
+        plain, sets = candidates_of(attribution)
         decision = decide(plain, sets, attribution.samples, options["calibration"])
         likeliest = decision.chosen
         if likeliest is None:

@@ -8,7 +8,7 @@ stiffness or damping) is invisible at any size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +16,10 @@ import numpy as np
 from real2sim.diagnosis.decide import gain_of_a_law
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
+from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.least_squares import bounded_step
+from real2sim.system.description import System
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisSettings
@@ -46,6 +48,23 @@ def could_have_shown(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) 
             for index, sizes in _ladders(placed):
                 out.append(_entry(placed, index, sizes, trials, options))
     return out
+
+
+def of_size(statement: Mapping[str, Any], system: System, scales: Scales) -> tuple[Placed, np.ndarray]:
+    """Return the effect of a statement of `could_have_shown`, with the searched numbers (p,) of the size it gives."""
+    first = next(effect for effect in EFFECTS if effect.name == statement["effect"])
+    for where in first.places(system):
+        placed = Placed(first, where, scales)
+        if (placed.axes, where.side) == (statement["axes"], statement["side"]):
+            names = [parameter.name for parameter in first.parameters]
+            i = names.index(statement["parameter"])
+            x = (placed.starts()[0] if first.parameters[i].log else placed.at_rest()).copy()
+            # one of its scale: 0 where the logarithm is searched
+            x[i] = 0.0 if first.parameters[i].log else 1.0
+            size = statement["from"] / float(placed.values(x[None])[0, i])
+            x[i] = np.log(size) if first.parameters[i].log else size
+            return placed, x
+    raise ValueError(f"no place of {statement['effect']} is {statement['axes']} {statement['side']}")
 
 
 def _ladders(placed: Placed) -> Iterator[tuple[int, np.ndarray]]:
@@ -106,11 +125,10 @@ def _entry(
     placed: Placed, index: int, x: np.ndarray, trials: _Trials, options: DiagnosisSettings
 ) -> dict[str, Any]:
     left = trials.earned(placed, x)
-    calibration = options["calibration"]
-    weights = np.array([calibration["train_weight"], 1.0])
+    earned = left.sum(axis=1)
     # chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more
-    sure = left @ weights - _ONE_SIDED_95 * 2 * np.sqrt(left @ weights**2)
-    needed = gain_of_a_law(len(placed.effect.parameters), calibration)
+    sure = earned - _ONE_SIDED_95 * 2 * np.sqrt(earned)
+    needed = gain_of_a_law(options["calibration"])
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
     parameter = placed.effect.parameters[index]
     rotational = bool(placed.where.axes) and placed.where.system.axes[placed.where.axes[0]].rotational

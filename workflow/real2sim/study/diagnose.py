@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 
-def _time_step(settings: Settings, step: Path | None) -> float:
+def time_step(settings: Settings, step: Path | None) -> float:
     """Return the time step [s] of the person's step study, of the configuration, or the largest that suits the clock.
 
     That is the study's largest candidate, or where it does not divide the sample interval, the largest step below it
@@ -121,7 +121,7 @@ def diagnose(
         That simulate. The answer is the same bits with any number.
     """
     progress = partial(_print, subject)
-    settings = settings | {"plant": settings["plant"] | {"timestep_s": _time_step(settings, step)}}
+    settings = settings | {"plant": settings["plant"] | {"timestep_s": time_step(settings, step)}}
     outcome = search_both_ways(
         strap_trials(
             train=train,

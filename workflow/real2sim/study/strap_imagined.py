@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
+from real2sim.effects.base import Placed
 from real2sim.geometry import AXES, interface_coordinates, relative_pose
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording.pelvis import pelvis_shape
@@ -145,29 +146,80 @@ def imagined(evidence: StrapEvidence, motion: Motion, parameters: np.ndarray) ->
     bare = replace(evidence, recorded=recorded, cache=ReplayCache())
     replay = bare.replay([], 1)
     paths, joints = replay.run_effects(parameters[None], [])
-    seen = _interface_rotation(bare, replay.start_joints + joints[0])
-    relative = relative_pose(rotation, position, seen, paths[0].mean(axis=1))
-    q = interface_coordinates(*relative, own.rest.rotation, own.rest.position)
-    rate = evidence.rate_hz
-    context = replace(
-        context,
-        interface_rotation=seen,
-        measured=paths[0],
-        coordinates=q,
-        rates=signals.derivative(q, rate),
-    )
-    ident = evidence.setup.settings["identification"]["scales"]
-    cost = TrialCost(paths[0], rate, CostScales(ident["position_m"], ident["velocity_m_per_s"]), everywhere)
+    assert replay.start_joints is not None
     logged = None if bare.robot is None else joints[0] - joints[0, : c.start].mean(axis=0)
+    return _measured_as(bare, paths[0], replay.start_joints + joints[0], logged)
+
+
+def injected(evidence: StrapEvidence, placed: Placed, x: np.ndarray, parameters: np.ndarray) -> StrapEvidence:
+    """Return a recorded trial as if an effect had acted in it.
+
+    What the effect with searched numbers x (p,) changes in a simulation with parameters (12,) of the strap is added to
+    what was measured, noise and all.
+    """
+    with_it, without = evidence.replay([placed], 1), evidence.replay([], 1)
+    paths, joints = (both[0] for both in with_it.run_effects(parameters[None], [x[None]]))
+    plain_paths, plain_joints = (both[0] for both in without.run_effects(parameters[None], []))
+    assert with_it.start_joints is not None
+    assert without.start_joints is not None
+    c, own, robot = evidence.context, evidence.trial, evidence.robot
+    seen = _interface_rotation(evidence, with_it.start_joints + joints)
+    plain_seen = _interface_rotation(evidence, without.start_joints + plain_joints)
+    more = _coordinates(evidence, seen, paths) - _coordinates(evidence, plain_seen, plain_paths)
+    measured, turned = own.interface + paths - plain_paths, joints - plain_joints
+    context = replace(
+        c,
+        interface_rotation=seen @ plain_seen.transpose(0, 2, 1) @ c.interface_rotation,
+        measured=c.measured + paths - plain_paths,
+        coordinates=c.coordinates + more,
+        rates=c.rates + signals.derivative(more, evidence.rate_hz),
+    )
     recorded = replace(
-        recorded,
-        trial=replace(trial, interface=paths[0]),
+        evidence.recorded,
+        trial=replace(own, interface=measured),
+        context=context,
+        coordinates=evidence.recorded.coordinates + more,
+        cost=_cost(evidence, measured),
+        robot=None if robot is None else robot + turned - turned[: c.start].mean(axis=0),
+    )
+    return replace(evidence, recorded=recorded, cache=ReplayCache())
+
+
+def _coordinates(evidence: StrapEvidence, seen: np.ndarray, paths: np.ndarray) -> np.ndarray:
+    """Coordinates (n, 6) [m, rad] of an interface with rotations (n, 3, 3) and markers (n, 2, 3)."""
+    c, rest = evidence.context, evidence.trial.rest
+    relative = relative_pose(c.pelvis_rotation, c.pelvis_position, seen, paths.mean(axis=1))
+    return interface_coordinates(*relative, rest.rotation, rest.position)
+
+
+def _cost(evidence: StrapEvidence, paths: np.ndarray) -> TrialCost:
+    ident = evidence.setup.settings["identification"]["scales"]
+    scales = CostScales(ident["position_m"], ident["velocity_m_per_s"])
+    return TrialCost(paths, evidence.rate_hz, scales, evidence.trial.usable)
+
+
+def _measured_as(
+    evidence: StrapEvidence, paths: np.ndarray, joints: np.ndarray, logged: np.ndarray | None
+) -> StrapEvidence:
+    """Return the trial with other interface markers (n, 2, 3) and robot log (n, 6), measured at joints (n, 6)."""
+    seen = _interface_rotation(evidence, joints)
+    q = _coordinates(evidence, seen, paths)
+    context = replace(
+        evidence.context,
+        interface_rotation=seen,
+        measured=paths,
+        coordinates=q,
+        rates=signals.derivative(q, evidence.rate_hz),
+    )
+    recorded = replace(
+        evidence.recorded,
+        trial=replace(evidence.trial, interface=paths),
         context=context,
         coordinates=q,
-        cost=cost,
+        cost=_cost(evidence, paths),
         robot=logged,
     )
-    return replace(bare, recorded=recorded, cache=ReplayCache())
+    return replace(evidence, recorded=recorded, cache=ReplayCache())
 
 
 def _interface_rotation(evidence: StrapEvidence, joints: np.ndarray) -> np.ndarray:

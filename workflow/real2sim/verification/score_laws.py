@@ -82,18 +82,18 @@ def is_as_good(row: Row) -> bool:
     hundreds of standard deviations.
     """
     answer = row["answer"]
-    if answer["verdict"] in (NONE, UNKNOWN) or answer["verdict"] not in _accepted(row["case"]):
+    if answer["verdict"] in (NONE, UNKNOWN) or answer["verdict"] not in accepted(row["case"]):
         return False
     gap = answer["gap"]
     highest_floor = answer.get("noise_floor", {}).get("ci95", [gap["J_floor"]])[-1]
-    least = min([highest_floor, *(h["J"] for h in answer.get("considered", []))])
+    least = min([highest_floor, *(h["J"] for h in answer.get("considered", []) if h["effects"])])
     plain, best, expected = (sum(gap[f"chi2_{key}"]) for key in ("plain", "best", "expected"))
     by_cost = gap["J_base"] - gap["J_with_effect"] >= AS_MUCH * (gap["J_base"] - least)
     return bool(by_cost and plain - best >= AS_MUCH * (plain - expected))
 
 
-def _accepted(case: Row) -> set[str]:
-    """Names of the catalogue whose law may be as good as the true one."""
+def accepted(case: Row) -> set[str]:
+    """Return the names of the catalogue whose law may be as good as the true one."""
     effect = case["effects"][0]
     if case["stratum"] == "random_law":
         return set(effect["law"]["kin"])

@@ -1,0 +1,62 @@
+"""What two records could have shown, and what a set could have been: sizes and Occam's term."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from real2sim.diagnosis.refit import JointResiduals
+from real2sim.diagnosis.visible import of_size
+from real2sim.effects.base import Scales
+from real2sim.system.description import shipped_system
+
+STRAP = shipped_system("strap")
+SCALES = Scales(*(np.arange(1.0, 7.0) * s for s in (0.01, 0.1, 1e4, 100.0, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "axes", "parameter", "size"),
+    [
+        ("coulomb", ["tz"], "force", 3.0),  # searched as a logarithm
+        ("preload", ["ty"], "rest_shift", 2e-3),
+        ("tilt", [], "slope_y", 0.02),
+        ("slack", ["rx"], "half_width", 0.004),
+    ],
+)
+def test_a_statement_is_turned_into_the_effect_of_that_size(effect, axes, parameter, size):
+    statement = {"effect": effect, "axes": axes, "side": 0, "parameter": parameter, "from": size}
+    placed, x = of_size(statement, STRAP, SCALES)
+    named = placed.named(x)
+    assert placed.effect.name == effect
+    assert placed.axes == axes
+    key = next(k for k in named if k.startswith(parameter))
+    assert named[key][0] == pytest.approx(size)
+
+
+def test_a_statement_of_no_place_is_an_error():
+    statement = {"effect": "slack", "axes": ["ta"], "side": 0, "parameter": "half_width", "from": 1.0}
+    with pytest.raises(ValueError, match="no place of slack"):
+        of_size(statement, STRAP, SCALES)
+
+
+def test_what_the_data_leave_of_a_prior_is_what_a_set_pays_for():
+    problem = SimpleNamespace(
+        free=np.arange(2),
+        lower=np.array([-6.0, -50.0]),
+        upper=np.array([6.0, 50.0]),
+        prior_mean=np.zeros(2),
+        prior_sd=np.array([np.inf, 2.0]),
+    )
+
+    def occam(known: float, z: float) -> float:
+        # the second coordinate's prior is a row of the residuals
+        jacobian = np.array([[known, 0.0], [0.0, 1 / 2.0]])
+        return JointResiduals.occam_of(problem, np.array([0.0, z]), jacobian)
+
+    # nothing is known of either but the priors
+    assert occam(0.0, 0.0) == pytest.approx(0.0)
+    # a coordinate between -6 and 6 that is known to 0.01: twice the logarithm of the share
+    assert occam(100.0, 0.0) == pytest.approx(2 * np.log(12 / np.sqrt(12) / 0.01), abs=1e-3)
+    # two prior SD away
+    assert occam(0.0, 4.0) == pytest.approx(4.0)

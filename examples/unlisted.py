@@ -20,7 +20,7 @@ parser.add_argument("--out", type=Path, default=Path("results/examples/unlisted"
 
 
 def main(arguments: list[str] | None = None) -> r2s.Diagnosis:
-    """Diagnose two simulated recordings of a carriage on a spring; print the law and draw its curve."""
+    """Diagnose two simulated recordings of a carriage on a spring; print and draw the law, write its model."""
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     system = shipped_system("bouc_wen")
@@ -42,6 +42,7 @@ def main(arguments: list[str] | None = None) -> r2s.Diagnosis:
             low, high = row["ci95"]
             print(f"{row['term']}: {row['value']:.4g} ({low:.4g} to {high:.4g}) {row['unit']}")
         answer.plot_law(options.out / "law.png")
+        answer.export_model(options.out / "model.xml")
     answer.save(options.out / "diagnosis.json")
     return answer
 

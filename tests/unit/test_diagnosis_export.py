@@ -16,7 +16,7 @@ from real2sim.effects.base import CHAIN, NATIVE, NEUTRAL, PLANNED
 from real2sim.effects.catalogue import Placed
 from real2sim.effects.planned import DrivenForce
 from real2sim.effects.replay import EffectReplay
-from real2sim.study.diagnosis_model import effects_of
+from real2sim.study.diagnosis_model import effects_of, measured_law
 from real2sim.system.export import baked, to_mjcf
 
 from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
@@ -171,6 +171,46 @@ def test_what_is_no_model_says_what_to_do_instead():
         chains = effect.chains.input, effect.chains.output, effect.chains.log
         chains += (effect.chains.observation and effect.chains.observation.of_markers,)
         assert (effect.exported == CHAIN) == any(chains)
+
+
+def test_a_measured_law_is_planned_forces_of_the_file(tmp_path):
+    time_s = np.arange(200) * 0.01
+    forces = [5 * np.sin(3 * time_s), 0.2 * np.cos(2 * time_s)]
+    family = {
+        "family": "spline",
+        "stage": "interface",
+        "kind": "elastic",
+        "axes": ["ty"],
+        "depends_on": ["q_ty"],
+    }
+    answer = {
+        "verdict": "unknown",
+        "free_form": {
+            "stage": "interface",
+            "families": [family],
+            "model": {
+                "joints": ["strap_ty", "strap_rz"],
+                "time_s": time_s.tolist(),
+                "forces": [f.tolist() for f in forces],
+                "parameters": {},
+            },
+        },
+    }
+    law = measured_law(answer, STRAP, SCALES)
+    model = replay([law])
+    paths = model.run_effects(PRIOR[None], [np.empty((1, 0))])[0][0]
+    plain = replay([]).run_effects(PRIOR[None], [])[0][0]
+    assert np.abs(paths - plain).max() > 1e-5
+    simulated = model.as_simulated()
+    file = tmp_path / "model.xml"
+    file.write_text(to_mjcf(baked(model, simulated), simulated, [], {}, {}))
+    alone = in_plain_mujoco(file, simulated.control)
+    np.testing.assert_allclose(alone[:: model.stride], paths, rtol=0, atol=1e-6)
+    # nothing of the kind where something was named, where nothing was measured or where no force was
+    assert measured_law(answer | {"verdict": "slack"}, STRAP, SCALES) is None
+    assert measured_law(answer | {"free_form": None}, STRAP, SCALES) is None
+    moved = answer | {"free_form": answer["free_form"] | {"model": None}}
+    assert measured_law(moved, STRAP, SCALES) is None
 
 
 def test_a_set_of_effects_is_read_as_it_was_written():

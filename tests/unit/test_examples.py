@@ -38,6 +38,14 @@ def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):
     cubic = next(row for row in answer.free_form["equation"] if row["term"] == "q_x^3")
     assert cubic["value"] == pytest.approx(-module.CUBIC, rel=0.1)
     assert (tmp_path / "law.png").stat().st_size > 5000
+    text = (tmp_path / "model.xml").read_text(encoding="utf-8")
+    assert "the measured law" in text
+    loaded = mujoco.MjModel.from_xml_string(text)
+    assert [loaded.actuator(i).name.split("_")[0] for i in range(loaded.nu)].count("planned") == 1
+    own = answer.free_form["model"]
+    assert own["units"] == ["N"]
+    assert len(own["forces"][0]) == len(own["time_s"])
+    assert own["parameters"].keys() == answer.answer.parameters.keys()
 
 
 @pytest.mark.parametrize("name", ["cuff", "drba", "emps", "strap"])

@@ -55,6 +55,7 @@ def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> d
         "ln_evidence": law.gain,
         "equation": [row for one in fitted for row in _equation(pair, one, library)],
         "curve": _curve(fitted[0], library),
+        "model": as_model(pair, law, library),
         "rivals": [
             {"families": [named_family(f) for f in r.families], "ln_evidence_behind": law.gain - r.gain}
             for r in rivals
@@ -80,6 +81,34 @@ def size(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
         rms[joint] = float(np.std(x @ np.array([row.sum(axis=0) for row in rows])))
     joint = max(rms, key=lambda j: rms[j])
     return {"rms": rms[joint] * library.force[joint], "unit": "Nm" if library.is_turn(joint) else "N"}
+
+
+def as_model(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
+    """Return what makes the plant with the law again: parameters, and its forces on the fitted trial [N, Nm].
+
+    None where something that it holds is no force. ``forces`` (j, n) are those on ``joints`` at ``time_s``.
+    """
+    if not all(isinstance(family, Family) for family in law.families):
+        return None
+    context = pair.train.context
+    forces: dict[str, np.ndarray] = {}
+    for family, x in zip(law.families, law.coefficients, strict=True):
+        assert isinstance(family, Family)
+        for row, value in zip(family.terms, x, strict=False):
+            for term, signal in zip(row, library.signals(row, context), strict=True):
+                part = value * signal * library.force[term.joint]
+                forces[term.joint] = forces[term.joint] + part if term.joint in forces else part
+    values = pair.system.values(law.hypothesis.base)
+    return {
+        "parameters": {
+            p.name: {"value": float(v), "unit": p.unit}
+            for p, v in zip(pair.system.parameters, values, strict=True)
+        },
+        "joints": list(forces),
+        "units": ["Nm" if library.is_turn(joint) else "N" for joint in forces],
+        "time_s": context.time_s.tolist(),
+        "forces": [force.tolist() for force in forces.values()],
+    }
 
 
 def named_family(family: AnyFamily) -> dict[str, Any]:
@@ -172,7 +201,8 @@ def _fewest(signals: np.ndarray, law: np.ndarray) -> tuple[list[int], float]:
 def _curve(fitted: _Fitted, library: Library) -> dict[str, Any] | None:
     """Return the force over the one variable that it depends on, with a 95 % band, without its linear part.
 
-    The linear part is stiffness or damping of the axis. Only the range that the training trial visited is told.
+    The linear part is stiffness or damping of the axis; ``total`` is the force with it, as the law's own parameters of
+    the system ask for. Only the range that the training trial visited is told.
     """
     family = fitted.family
     if not isinstance(family, Family) or len(family.depends_on) != 1 or len(family.axes) != 1:
@@ -188,6 +218,7 @@ def _curve(fitted: _Fitted, library: Library) -> dict[str, Any] | None:
         [sum(t.basis(own, library.ranges, 0.01) * t.factor for t in row) for row in family.terms]
     )
     line = np.column_stack([np.ones(_POINTS), grid])
+    total = (basis.T @ fitted.coefficients) * library.force[joint]
     basis = (basis.T - line @ np.linalg.lstsq(line, basis.T, rcond=None)[0]) * library.force[joint]
     mean = basis @ fitted.coefficients
     sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, fitted.covariance, basis))
@@ -198,6 +229,7 @@ def _curve(fitted: _Fitted, library: Library) -> dict[str, Any] | None:
         "quantity": f"{'moment' if unit == 'Nm' else 'force'} along {family.axes[0]}",
         "quantity_unit": unit,
         "grid": (grid * variable.scale).tolist(),
+        "total": total.tolist(),
         "mean": mean.tolist(),
         "low": (mean - _NORMAL_95 * sd).tolist(),
         "high": (mean + _NORMAL_95 * sd).tolist(),

@@ -15,6 +15,8 @@ from real2sim.system.export import baked, to_mjcf
 def write_model(path: Path, answer: Diagnosis) -> None:
     """Write the plant of the fitted recording with its parameters and the effects that were named.
 
+    Where no name fits and a law was measured, its forces are planned ones.
+
     What is no part of a model (effects of the measurement, planned forces) is listed in the header with what to do.
 
     Raises
@@ -22,7 +24,7 @@ def write_model(path: Path, answer: Diagnosis) -> None:
     ValueError
         Where a field of the model has no element of MJCF to be written to.
     """
-    pair, fitted = answer.found.pair, answer.fitted
+    pair, fitted = answer.found.pair, answer.fits.law or answer.fitted
     replay = pair.train.replay(list(fitted.effects), 1)
     if not isinstance(replay, SystemReplay):
         raise ValueError("the strap's model is written by the workflow: snakemake diagnosis")
@@ -33,7 +35,13 @@ def write_model(path: Path, answer: Diagnosis) -> None:
         f"{pair.system.name} as diagnosed: {', '.join(answer.verdict_set)}. MuJoCo {mujoco.__version__}. SI units.",
         *(f"{p.name} = {v:.6g} {p.unit}" for p, v in zip(pair.system.parameters, values, strict=True)),
     ]
+    if answer.fits.law is not None:
+        header.append(
+            "Motors planned_*: the measured law, a force that depends on what free_form of the answer says"
+        )
     for placed, x in zip(fitted.effects, fitted.split(), strict=True):
+        if answer.fits.law is not None:
+            continue
         named = ", ".join(f"{k} = {v:.6g} {u}" for k, (v, u) in placed.named(x).items())
         about = f"{placed.key}: {placed.effect.exported}; {placed.effect.equation}; {named}"
         header.append(f"{about}; instead: {placed.effect.remedy}" if placed.effect.remedy else about)

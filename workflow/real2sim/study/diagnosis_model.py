@@ -11,8 +11,10 @@ import numpy as np
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.evidence import BALANCE
-from real2sim.effects.base import NATIVE, Placed, Scales
+from real2sim.effects.base import NATIVE, AtRest, Effect, InterfaceImpedance, Placed, Scales, Where
 from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.chains import Context
+from real2sim.effects.planned import PlannedForce
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS
@@ -25,8 +27,16 @@ from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, 
 
 _SCALES = ("q", "v", "k", "d", "inertia")
 # Entries of diagnosis.json that are read
-_READ = ("subject", "verdict", "verdict_set", "parameters", "model", "robot_holds", "settings", "phantom")
+_READ = (
+    *("subject", "verdict", "verdict_set", "parameters", "model", "free_form", "robot_holds", "settings"),
+    "phantom",
+)
 _PACKAGES = ["mujoco", "numpy", "scipy"]
+_LAW = "measured_law"
+_HOW_TO_DRIVE = (
+    "motors planned_* drive the trial that was fitted from model_replay.csv; for another one compute their force from"
+    " free_form of diagnosis.json: interpolate curve.total over curve.grid, or evaluate equation"
+)
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
 
@@ -55,6 +65,46 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
         placed.append(Placed(effect, effect.place(system, where, entry["side"]), scales))
         x.append(np.array(entry["searched"], float))
     return placed, x
+
+
+def measured_law(answer: dict[str, Any], system: System, scales: Scales) -> Placed | None:
+    """Return the law of an answer `unknown` as planned forces of the fitted trial; None where none was measured."""
+    free_form = answer["free_form"]
+    if answer["verdict"] != "unknown" or free_form is None or free_form["model"] is None:
+        return None
+    own = free_form["model"]
+    time_s, forces = np.array(own["time_s"]), np.array(own["forces"])
+
+    def plan(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
+        steps = np.array([np.interp(context.step_time_s, time_s, force) for force in forces])
+        return np.broadcast_to(steps.T, (len(values), *steps.T.shape))
+
+    effect = Effect(
+        _LAW,
+        free_form["stage"],
+        "; ".join(_told(f) for f in free_form["families"]),
+        (),
+        separating_trial="a wider range of what it depends on",
+        at_rest=AtRest(()),
+        scope="whole",
+        plant=PlannedForce(plan, tuple(own["joints"])),
+        remedy=_HOW_TO_DRIVE,
+    )
+    return Placed(effect, Where(system, (), 0, "law", "measured"), scales)
+
+
+def _told(family: dict[str, Any]) -> str:
+    at = f" along {', '.join(family['axes'])}" if family["axes"] else ""
+    return f"{family['kind']}{at} of {', '.join(family['depends_on'])}"
+
+
+def _with_law(answer: dict[str, Any]) -> dict[str, Any]:
+    """Entry ``parameters`` with the values that were fitted beside the measured law."""
+    fitted = answer["free_form"]["model"]["parameters"]
+    return {
+        name: p | {"fitted": fitted[name]["value"], "with_effect": fitted[name]["value"]}
+        for name, p in answer["parameters"].items()
+    }
 
 
 def export_model(
@@ -100,6 +150,10 @@ def export_model(
         noise=noise,
         settled=answer["robot_holds"] == BALANCE,
     ).with_scales(scales)
+    law = measured_law(answer, evidence.setup.system, scales)
+    if law is not None:
+        effects, x = [law], [np.empty(0)]
+        answer = answer | {"parameters": _with_law(answer)}
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])
@@ -135,6 +189,11 @@ def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
 def _verdict(answer: dict[str, Any]) -> str:
     if answer["verdict"] == "none":
         return "none: no effect stands out of the noise; this is the plain plant with the plain fit"
+    if answer["verdict"] == "unknown" and (answer["free_form"] or {}).get("model"):
+        return (
+            "unknown: no effect of the catalogue explains the gap; this is the plant with the law that was measured,"
+            " its forces on motors planned_*"
+        )
     if answer["verdict"] == "unknown":
         return (
             "unknown: there is a gap that no effect of the catalogue explains; this is the plain plant with the plain"

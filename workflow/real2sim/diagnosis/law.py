@@ -24,6 +24,8 @@ _MOST_TERMS = 3
 # What an equation has to hold of the law's mean square [1]
 _ENOUGH = 0.95
 _NORMAL_95 = 1.96
+# Kinds that hold a simpler one as a special case
+_SIMPLER = {"elastic coupling": "elastic", "damping by coordinate": "dissipative"}
 
 
 @dataclass(frozen=True)
@@ -41,16 +43,16 @@ def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> d
     ``rivals`` are the other laws that were refitted, by falling evidence.
     """
     fitted = _fitted(pair, law)
-    first = fitted[0].family
+    told = [_least(one, library, pair) for one in fitted]
+    first = told[0]
+    alike = [one for one in told if one["kind"] == first["kind"]]
     return {
-        "stage": first.stage,
-        "kind": first.kind,
-        "axes": list(dict.fromkeys(a for f in law.families if f.kind == first.kind for a in f.axes)),
-        "depends_on": list(
-            dict.fromkeys(v for f in law.families if f.kind == first.kind for v in f.depends_on)
-        ),
-        "family": first.name,
-        "families": [named_family(f) for f in law.families],
+        "stage": first["stage"],
+        "kind": first["kind"],
+        "axes": list(dict.fromkeys(axis for one in alike for axis in one["axes"])),
+        "depends_on": list(dict.fromkeys(name for one in alike for name in one["depends_on"])),
+        "family": first["family"],
+        "families": told,
         "own_history_in_each_trial": law.is_history,
         "ln_evidence": law.gain,
         "equation": [row for one in fitted for row in _equation(pair, one, library)],
@@ -120,6 +122,42 @@ def named_family(family: AnyFamily) -> dict[str, Any]:
         "axes": list(family.axes),
         "depends_on": list(family.depends_on),
     }
+
+
+def _least(fitted: _Fitted, library: Library, pair: Pair) -> dict[str, Any]:
+    """Return what is said of a family: the simpler kind that it holds where that carries 95 % of it.
+
+    A potential of two coordinates may be two springs, and a damping by the coordinate one by the rate alone. Counted is
+    what stiffness and damping of the axes cannot do.
+    """
+    about, family = named_family(fitted.family), fitted.family
+    if not isinstance(family, Family) or family.kind not in _SIMPLER:
+        return about
+    kind, context = _SIMPLER[family.kind], pair.train.context
+    simple = {f.axes[0]: f for f in library.forces if f.kind == kind and len(f.axes) == 1}
+    forces = {}
+    for axis in family.axes:
+        joint = simple[axis].terms[0][0].joint
+        rows = [[t for t in row if t.joint == joint] for row in family.terms]
+        parts = np.array([library.signals(row, context).sum(axis=0) for row in rows])
+        force = (fitted.coefficients @ parts)[:, None]
+        plain = library.signals([times(joint, {f"{x}_{axis}": 1}) for x in "qv"], context)
+        signals = library.signals([t for row in simple[axis].terms for t in row], context)
+        rest, left = (_without(force, by) for by in (plain, np.vstack([plain, signals])))
+        forces[axis] = float(rest @ rest), float(left @ left)
+    total = sum(rest for rest, _ in forces.values())
+    own = [axis for axis, (rest, _) in forces.items() if rest >= (1 - _ENOUGH) * total]
+    missed = sum(left if axis in own else rest for axis, (rest, left) in forces.items())
+    if missed > (1 - _ENOUGH) * total:
+        return about
+    names = [simple[axis].depends_on[0] for axis in own]
+    return about | {"kind": kind, "axes": own, "depends_on": names}
+
+
+def _without(force: np.ndarray, signals: np.ndarray) -> np.ndarray:
+    """Return what a constant and signals (s, n) do not explain of a force (n, 1), as (n,)."""
+    known = np.column_stack([signals.T, np.ones(signals.shape[1])])
+    return np.asarray(force - known @ np.linalg.lstsq(known, force, rcond=None)[0])[:, 0]
 
 
 def _fitted(pair: Pair, law: Law) -> list[_Fitted]:

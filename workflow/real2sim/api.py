@@ -9,7 +9,7 @@ answer = diagnose(system, train=slow, held_out=fast, quiet=still)
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -254,30 +254,34 @@ def diagnose(
     train: Recording,
     held_out: Recording,
     quiet: Recording | None = None,
+    further: Sequence[Recording] = (),
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], None] | None = None,
     threads: int = 1,
 ) -> Diagnosis:
     """Find which unmodelled effect causes the gap between a system's simulation and its recordings.
 
-    Effects are fitted to ``train`` and judged on ``held_out``, a recording of another regime; ``quiet`` and
-    ``settings`` as of `identify`. ``progress`` is called with a line now and then, by default it goes to stderr.
+    Effects are fitted to ``train`` and judged on ``held_out``, a recording of another regime, and on ``further`` ones,
+    such as the trial that an answer proposed; ``quiet`` and ``settings`` as of `identify`. ``progress`` is called with
+    a line now and then, by default it goes to stderr.
 
     Raises
     ------
     InputError
         Where recordings and description do not fit together.
     """
-    if train.name == held_out.name:
+    options, given = _settings(settings), (train, held_out, *further)
+    recordings = {r.name: r for r in given}
+    if len(recordings) < len(given):
+        names = [r.name for r in given]
+        twice = next(name for name in names if names.count(name) > 1)
         raise InputError(
-            train.name, "", "the same name for both recordings", "two names", "Rename one of them."
+            twice, "", "the same name for two recordings", "a name for each", "Rename one of them."
         )
-    options = _settings(settings)
-    recordings = {r.name: r for r in (train, held_out)}
-    trials = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
+    loaded = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
 
     def load(name: str, settled: bool) -> Evidence:
-        return trials[name].as_settled() if settled else trials[name]
+        return loaded[name].as_settled() if settled else loaded[name]
 
     def places(pair: Pair) -> list[Placed]:
         return [p for p in candidates(system, pair.train.scales) if supports(p)]
@@ -285,8 +289,11 @@ def diagnose(
     def say(text: str) -> None:
         print(f"{system.name}: {text}", file=sys.stderr, flush=True)
 
-    two = Trials(train.name, held_out.name, system, load, options["diagnosis"], progress or say, places)
-    return Diagnosis(system, answer(search_both_ways(two), options, progress or say))
+    more = tuple(r.name for r in further)
+    trials = Trials(
+        train.name, held_out.name, system, load, options["diagnosis"], progress or say, places, more
+    )
+    return Diagnosis(system, answer(search_both_ways(trials), options, progress or say))
 
 
 def catalogue(system: System | None = None) -> tuple[Effect, ...]:

@@ -4,8 +4,8 @@ Inputs:  canonical tables of neutral and of two dynamic trials and their gates, 
          study where the sweeps at T* were recorded.
 Outputs: results/diagnosis/<SUBJECT>/diagnosis.json, traces.parquet, diagnosis.html, model.xml, model.json,
          model_replay.csv; results/diagnosis/diagnosis.csv.
-Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second; the diagnosed
-         model as MJCF; page; table.
+Steps:   fit the first dynamic trial, with and without every effect of the catalogue; judge on the second, and on every
+         further one (the trial that an answer proposed); the diagnosed model as MJCF; page; table.
          A person with one dynamic trial has none to be judged on and is left out. A trial that a gate refuses is
          diagnosed all the same (what the gate saw may be the cause), and the answer names the gate.
 """
@@ -13,6 +13,12 @@ Steps:   fit the first dynamic trial, with and without every effect of the catal
 DIAGNOSED = [name for name, person in PEOPLE.items() if len(person.trials_of("dynamic")) >= 2]
 # People at a time are faster than threads for one; where there are fewer people than cores, the rest of them helps
 DIAGNOSIS_THREADS = max(1, min(4, (workflow.resource_settings.cores or 1) // max(1, len(DIAGNOSED))))
+
+
+def further_of(subject):
+    """Option of the command for a person's third and further dynamic trials; nothing where there are two."""
+    folders = folders_of(subject, "dynamic")[2:]
+    return ["--further", *folders] if folders else []
 
 
 rule diagnosis:
@@ -28,10 +34,11 @@ rule diagnose:
     input:
         train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
         held_out=lambda wildcards: poses_of(wildcards.subject, "dynamic")[1],
+        further=lambda wildcards: poses_of(wildcards.subject, "dynamic")[2:],
         neutral="results/trials/{subject}/neutral/markers.parquet",
         gates=lambda wildcards: [
             f"results/quality/{wildcards.subject}/{trial}.json"
-            for trial in ("neutral", *PEOPLE[wildcards.subject].trials_of("dynamic")[:2])
+            for trial in ("neutral", *PEOPLE[wildcards.subject].trials_of("dynamic"))
         ],
         limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
         step=lambda wildcards: where_limits_are_known(wildcards, "plant"),
@@ -53,6 +60,7 @@ rule diagnose:
     params:
         train=lambda wildcards, input: Path(input.train).parent,
         held_out=lambda wildcards, input: Path(input.held_out).parent,
+        further=lambda wildcards: further_of(wildcards.subject),
         neutral=lambda wildcards, input: Path(input.neutral).parent,
         known=lambda wildcards, input: given(limits=input.limits, step=input.step),
         settings=DIAGNOSIS_SETTINGS,
@@ -60,7 +68,7 @@ rule diagnose:
         code=code("diagnose"),
     shell:
         "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
-        " --held-out {params.held_out:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
+        " --held-out {params.held_out:q} {params.further:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
         " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
         " --threads {threads}"
         " 2>&1 | tee {log:q}"

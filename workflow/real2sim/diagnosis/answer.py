@@ -318,6 +318,15 @@ class _Account:
             Fits(self._found, self._best),
         )
 
+    def _further(self) -> list[dict[str, Any]]:
+        """What the plain plant and the answer's fit leave of each further trial, numbers moved as far as is known."""
+        options = self._settings["diagnosis"]
+        plain, best = (self._found.foretold(h, options) for h in (self._attribution.plain, self._best))
+        return [
+            {"chi2_plain": a.chi2, "chi2_best": b.chi2, "chi2_expected": evidence.samples}
+            for a, b, evidence in zip(plain, best, self._found.further, strict=True)
+        ]
+
     def _noise_floor(self) -> dict[str, Any]:
         return {
             "J": self._floor,
@@ -338,6 +347,7 @@ class _Account:
             "chi2_plain": list(plain.chi2),
             "chi2_best": list(self._best.chi2),
             "chi2_expected": list(self._attribution.samples),
+            "further": self._further(),
         }
 
     def _where(self, named: bool) -> dict[str, Any]:

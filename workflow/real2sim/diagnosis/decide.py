@@ -30,7 +30,7 @@ ISOLATED = ("outliers",)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects as the decision sees it: names and chi-squared on both trials.
+    """A set of effects as the decision sees it: names and chi-squared of each trial.
 
     ``occam`` is what the marginal likelihood adds to chi-squared (`JointResiduals.occam_of`), less what it adds for the
     plain plant. ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``,
@@ -39,7 +39,7 @@ class Candidate:
     """
 
     names: tuple[str, ...]
-    chi2: tuple[float, float]
+    chi2: tuple[float, ...]
     occam: float = 0.0
     unlisted: bool = False
     ambiguous: bool = False
@@ -77,7 +77,7 @@ class Decision:
     chosen: int | None
 
 
-def _gap(plain: Candidate, samples: tuple[int, int]) -> float:
+def _gap(plain: Candidate, samples: tuple[int, ...]) -> float:
     """Chi-squared of both trials that the plain plant leaves above its expectation, at least its SD."""
     n = sum(samples)
     return max(sum(plain.chi2) - n, float(np.sqrt(2 * n)))
@@ -86,7 +86,7 @@ def _gap(plain: Candidate, samples: tuple[int, int]) -> float:
 def unexplained(
     plain: Candidate,
     candidates: Sequence[Candidate],
-    samples: tuple[int, int],
+    samples: tuple[int, ...],
     c: DiagnosisCalibrationSettings,
 ) -> float:
     """Share of the gap that even the best set leaves beyond noise: 0 where all of it is explained.
@@ -149,7 +149,7 @@ def _further(candidate: Candidate, c: DiagnosisCalibrationSettings) -> float:
 def logits(
     plain: Candidate,
     candidates: Sequence[Candidate],
-    samples: tuple[int, int],
+    samples: tuple[int, ...],
     c: DiagnosisCalibrationSettings,
 ) -> np.ndarray:
     """Log-odds against none of the candidates, then of none (0) and unknown.
@@ -202,7 +202,7 @@ def _shared(rows: Sequence[float], answers: Sequence[Hashable]) -> list[float]:
 def decide(
     plain: Candidate,
     candidates: Sequence[Candidate],
-    samples: tuple[int, int],
+    samples: tuple[int, ...],
     calibration: DiagnosisCalibrationSettings,
 ) -> Decision:
     """Probabilities, verdict and ambiguity group. ``samples`` are the residuals of training and held-out trial."""
@@ -267,7 +267,7 @@ def averaged(decision: Decision, other: Decision, share: float, ambiguity_probab
 def cost_of_answer(
     plain: Candidate,
     candidates: Sequence[Candidate],
-    samples: tuple[int, int],
+    samples: tuple[int, ...],
     calibration: DiagnosisCalibrationSettings,
 ) -> float:
     """Deviance of what the answer names, and the price of a further effect for each of its effects.

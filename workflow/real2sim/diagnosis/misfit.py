@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import Candidate, Decision, decide
+from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.free_form import AnyFamily, Law, Measured, measure
 from real2sim.diagnosis.law import named_family, size
 from real2sim.diagnosis.refit import Hypothesis
@@ -90,11 +90,9 @@ def told_apart(
         return decision, misfit
     measured, law = misfit.measured, misfit.measured.laws[0]
     if not is_kin(law, named):
-        plain, sets = candidates_of(found.attribution)
-        names = tuple(f.key for f in law.families)
-        occam = law.hypothesis.occam - found.attribution.plain.occam
-        rival = Candidate(names, law.hypothesis.chi2, occam, unlisted=True)
-        with_rival = decide(plain, [*sets, rival], found.attribution.samples, options["calibration"])
+        plain, sets = candidates_of(found, options)
+        rival = found.candidate(law.hypothesis, options, [f.key for f in law.families])
+        with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])
         misfit = replace(misfit, rival=float(with_rival.sets[-1]))
         decision = replace(with_rival, sets=with_rival.sets[:-1])
         if decision.chosen is None:

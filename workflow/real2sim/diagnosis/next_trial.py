@@ -17,6 +17,7 @@ from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Decision
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law
+from real2sim.diagnosis.further import information
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair
 from real2sim.inference.least_squares import bounded_step
@@ -75,7 +76,7 @@ def propose(
     """
     if len(rivals) < 2:
         return None
-    information = [_information(pair, rival.hypothesis) for rival in rivals]
+    information = [information(pair, rival.hypothesis) for rival in rivals]
 
     def apart(evidence: Evidence) -> float:
         return min(
@@ -112,18 +113,6 @@ def told(proposal: Mapping[str, Any]) -> str:
         f"{proposal['motion']}; {one} and {other} would then be {far} standard deviations of noise apart, where they "
         f"are {now} apart in the trial at hand"
     )
-
-
-def _information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
-    """What both trials and the priors tell of a hypothesis' searched numbers: normal matrix (n + p, n + p)."""
-    everything = np.arange(len(hypothesis.z))
-    total = np.zeros((len(everything), len(everything)))
-    for evidence in (pair.train, pair.held_out):
-        problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
-        _, jacobian = problem.with_jacobian(hypothesis.z, everything)
-        total += jacobian.T @ jacobian
-    total[np.diag_indices_from(total)] += 1e-9
-    return total
 
 
 def _left(

@@ -7,8 +7,8 @@ before the record began: where the second explains much, it is searched too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +32,7 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence
+from real2sim.diagnosis.further import Foretold, foretold
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
@@ -47,7 +48,7 @@ class Trials:
 
     ``load`` maps a trial's name and an initial-state hypothesis (True: in static equilibrium) to its evidence;
     ``options`` is the slice ``diagnosis`` of the configuration; ``progress`` is told what is going on; ``places`` are
-    the effects to try, None for everything everywhere.
+    the effects to try, None for everything everywhere; ``further`` are more trials that fits have to foretell.
     """
 
     train: str
@@ -57,6 +58,7 @@ class Trials:
     options: DiagnosisSettings
     progress: Callable[[str], None]
     places: Callable[[Pair], list[Placed]] | None = None
+    further: tuple[str, ...] = ()
 
     @property
     def exchanged(self) -> Trials:
@@ -87,15 +89,63 @@ class Trials:
         places = candidates(pair.system, scales) if self.places is None else self.places(pair)
         places = without_names(places, options["left_out"])
         found = attribute(pair, z, options["search"], self.progress, places, options["calibration"])
-        return Found(replace(found.pair, exchanged=pair.exchanged), found)
+        pair = replace(found.pair, exchanged=pair.exchanged)
+        return Found(pair, found, self._further(pair, found))
+
+    def _further(self, pair: Pair, found: Attribution) -> tuple[Evidence, ...]:
+        """Evidence of further trials, whitened as the two are, with what jumps out of the best set marked."""
+        draws, seed = self.options["noise_draws"], self.options["search"]["seed"]
+        best = min([found.plain, *found.hypotheses], key=lambda h: sum(h.chi2))
+        parameters = pair.system.values(found.plain.base)
+        out = []
+        for name in self.further:
+            evidence = self.load(name, pair.train.settled).as_held_out().with_scales(pair.train.scales)
+            evidence = evidence.with_noise(parameters, draws, seed)
+            paths = JointResiduals(evidence, best.effects, pair.system).paths(best.z)
+            out.append(evidence.with_spikes(paths))
+        return tuple(out)
 
 
 @dataclass(frozen=True)
 class Found:
-    """Two trials, and what the search found of them."""
+    """Two trials, what the search found of them, and further trials that it has to foretell."""
 
     pair: Pair
     attribution: Attribution
+    further: tuple[Evidence, ...] = ()
+    _foretold: dict[tuple[str, bytes], list[Foretold]] = field(default_factory=dict, repr=False)
+
+    @property
+    def samples(self) -> tuple[int, ...]:
+        """Whitened residuals of all trials."""
+        return (*self.attribution.samples, *(evidence.samples for evidence in self.further))
+
+    def foretold(self, hypothesis: Hypothesis, options: DiagnosisSettings) -> list[Foretold]:
+        """Return what a hypothesis leaves of the further trials; ``options``: slice ``diagnosis``."""
+        key = hypothesis.key, hypothesis.z.tobytes()
+        if self.further and key not in self._foretold:
+            longest = options["search"]["longest_step"]
+            self._foretold[key] = foretold(self.pair, hypothesis, self.further, longest)
+        return self._foretold.get(key, [])
+
+    def candidate(
+        self, hypothesis: Hypothesis, options: DiagnosisSettings, law: Sequence[str] = ()
+    ) -> Candidate:
+        """Return a hypothesis as the decision sees it; ``law`` are the keys of families without a name."""
+        more = self.foretold(hypothesis, options)
+        occam = hypothesis.occam - self.attribution.plain.occam + sum(f.occam for f in more)
+        effects = () if law else hypothesis.effects
+        names = tuple(law) or hypothesis.names
+        return Candidate(
+            names,
+            (*hypothesis.chi2, *(f.chi2 for f in more)),
+            occam,
+            unlisted=bool(law),
+            ambiguous=is_ambiguous(effects),
+            places=tuple(tuple(p.key for p in effects if p.effect.name == name) for name in hypothesis.names)
+            if effects
+            else (),
+        )
 
     @property
     def initial_state(self) -> str:
@@ -104,8 +154,8 @@ class Found:
 
     def cost(self, options: DiagnosisSettings) -> float:
         """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
-        sets = candidates_of(self.attribution)
-        return cost_of_answer(*sets, self.attribution.samples, options["calibration"])
+        sets = candidates_of(self, options)
+        return cost_of_answer(*sets, self.samples, options["calibration"])
 
 
 @dataclass(frozen=True)
@@ -228,18 +278,11 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSett
     )
 
 
-def candidates_of(attribution: Attribution) -> tuple[Candidate, list[Candidate]]:
-    """Return the plain plant and every refitted set as the decision sees them."""
-    plain = attribution.plain
-    return Candidate((), plain.chi2), [
-        Candidate(
-            h.names,
-            h.chi2,
-            h.occam - plain.occam,
-            ambiguous=is_ambiguous(h.effects),
-            places=tuple(tuple(p.key for p in h.effects if p.effect.name == name) for name in h.names),
-        )
-        for h in attribution.hypotheses
+def candidates_of(found: Found, options: DiagnosisSettings) -> tuple[Candidate, list[Candidate]]:
+    """Return the plain plant and every refitted set as the decision sees them; ``options``: slice ``diagnosis``."""
+    attribution = found.attribution
+    return found.candidate(attribution.plain, options), [
+        found.candidate(h, options) for h in attribution.hypotheses
     ]
 
 
@@ -248,8 +291,8 @@ def conclude(found: Found, options: DiagnosisSettings) -> Decision:
     pair, attribution = found.pair, found.attribution
     converged: set[int] = set()
     while True:
-        plain, sets = candidates_of(attribution)
-        decision = decide(plain, sets, attribution.samples, options["calibration"])
+        plain, sets = candidates_of(found, options)
+        decision = decide(plain, sets, found.samples, options["calibration"])
         likeliest = decision.chosen
         if likeliest is None:
             likeliest = int(np.argmax(decision.sets)) if len(sets) else -1

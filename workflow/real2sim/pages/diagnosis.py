@@ -840,7 +840,7 @@ def _foot(d: Mapping[str, Any]) -> str:
     ]
     packages = ", ".join(f"{name} {version}" for name, version in p.get("packages", {}).items())
     facts = [
-        f"Person {d['subject']}; fitted on {_trials(d['train'])}, judged on {_trials(d['held_out'])}.",
+        f"Person {d['subject']}; fitted on {_trials(d['train'])}, judged on {_trials([*d['held_out'], *d.get('further', [])])}.",
         f"Format {d.get('schema', 1)}; code {p.get('code_fingerprint', 'not recorded')}; Python {p.get('python', '?')}"
         f"{'; ' + packages if packages else ''}.",
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,13 +54,14 @@ def strap_trials(
     robot: Path,
     settings: Settings,
     progress: Callable[[str], None],
+    further: Sequence[Path] = (),
     threads: int = 1,
 ) -> Trials:
-    """Return two trials of one person, by the names of their folders of canonical tables.
+    """Return two trials of one person and further ones, by the names of their folders of canonical tables.
 
     ``settings`` as of `diagnose`, with a number for ``plant.timestep_s``; ``threads``: see `PlantSetup`.
     """
-    folders = {folder.name: folder for folder in (train, held_out)}
+    folders = {folder.name: folder for folder in (train, held_out, *further)}
 
     @cache
     def noise() -> NoiseModel:
@@ -79,7 +80,8 @@ def strap_trials(
         )
 
     system = strap_system(robot, settings)
-    return Trials(train.name, held_out.name, system, load, settings["diagnosis"], progress)
+    more = tuple(folder.name for folder in further)
+    return Trials(train.name, held_out.name, system, load, settings["diagnosis"], progress, further=more)
 
 
 def _print(subject: str, text: str) -> None:
@@ -95,6 +97,7 @@ def diagnose(
     robot: Path,
     settings: Settings,
     out: Path,
+    further: list[Path] | None = None,
     limits: Path | None = None,
     step: Path | None = None,
     gates: list[Path] | None = None,
@@ -110,6 +113,8 @@ def diagnose(
     settings
         Slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the
         configuration.
+    further
+        Folders of more dynamic trials, which fits to the first two have to foretell: the one that an answer proposed.
     limits, step
         Joint limits and step study of the person, where they exist.
     gates
@@ -130,6 +135,7 @@ def diagnose(
             limits=limits,
             robot=robot,
             settings=settings,
+            further=further or (),
             threads=threads,
             progress=progress,
         )
@@ -141,14 +147,14 @@ def diagnose(
     if traces is not None:
         _write_traces(traces, result)
     about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
-    sources = _sources(train, held_out, limits, robot)
-    about |= {"refused_gates": refused_gates(gates or [])}
+    sources = _sources([train, held_out, *(further or [])], limits, robot)
+    about |= {"further": [f.name for f in further or []], "refused_gates": refused_gates(gates or [])}
     write_json(out, about | result.to_dict() | {"settings": settings, "provenance": sources})
 
 
-def _sources(train: Path, held_out: Path, limits: Path | None, robot: Path) -> Provenance:
+def _sources(trials: Sequence[Path], limits: Path | None, robot: Path) -> Provenance:
     """Return the files that an answer was made from, and by which code."""
-    tables = [f / f"{table}.parquet" for f in (train, held_out) for table in ("pose", "markers", "robot")]
+    tables = [f / f"{table}.parquet" for f in trials for table in ("pose", "markers", "robot")]
     return provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
 
 

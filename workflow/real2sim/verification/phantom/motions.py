@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from real2sim.verification.phantom.physics import PelvisPath, Poses
 
@@ -82,6 +83,25 @@ class Motion:
         start, duration = self.ramp
         s = (t - start) / duration
         return self.speed * (duration * smooth_integral(s) + np.maximum(t - start - duration, 0.0))
+
+
+@dataclass
+class SampledMotion(Motion):
+    """A motion through sampled coordinates ``path`` (n, 6) [m, rad] at ``rate_hz``, by cubic splines."""
+
+    path: np.ndarray = field(default_factory=lambda: np.zeros((2, 6)))
+    rate_hz: float = 100.0
+
+    def __post_init__(self) -> None:
+        """Prepare the spline; the last sample is held."""
+        spline = CubicSpline(np.arange(len(self.path)) / self.rate_hz, self.path)
+        self._value, self._slope = spline, spline.derivative()
+
+    def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As of `Motion`."""
+        end = (len(self.path) - 1) / self.rate_hz
+        inside = np.clip(t, 0.0, end)
+        return self._value(inside), np.where((t <= end)[:, None], self._slope(inside), 0.0)
 
 
 class PelvisMotion(Protocol):

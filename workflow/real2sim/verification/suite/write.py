@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -52,6 +52,7 @@ from real2sim.verification.suite.true_laws import PLACES, SPEEDS, curve_of, libr
 
 RATE_HZ = 100.0
 TRIALS = ("neutral", TRAIN, HELD_OUT)
+FURTHER = "dynamic_3"
 _START_WINDOW_S = 0.5
 _NOISY = 3  # replays with noise, for the floor
 
@@ -118,6 +119,30 @@ def write_cases(
     controllers (config.yaml, ``robot``), ``robot`` its MJCF; ``out`` becomes ``<out>/<CASE>/*`` for the cases
     that `plan.case_names` gives.
     """
+    write_with_further(
+        suite=suite,
+        shard=shard,
+        settings=settings,
+        controllers=controllers,
+        robot=robot,
+        out=out,
+        truth=truth,
+        further={},
+    )
+
+
+def write_with_further(
+    *,
+    suite: dict[str, Any],
+    shard: int,
+    settings: dict[str, Any],
+    controllers: dict[str, Any],
+    robot: Path,
+    out: Path,
+    truth: Path,
+    further: Mapping[str, Motion],
+) -> None:
+    """As `write_cases`; some cases record one more dynamic trial, with the motion that ``further`` gives for them."""
     begun = time.perf_counter()
     names = case_names(suite, shard)
     plan = [case for case in cases(suite) if case.id in set(names)]
@@ -127,7 +152,7 @@ def write_cases(
         print(f"  {time.perf_counter() - begun:5.1f} s  {what}", flush=True)
 
     coarse, fine = (Robot(robot, s) for s in (suite["severity"]["step_s"], settings["simulation"]["step_s"]))
-    people = [_synthesise(suite, case, settings, controllers, fine) for case in plan]
+    people = [_synthesise(suite, case, settings, controllers, fine, further.get(case.id)) for case in plan]
     world = _World(suite, settings, coarse, fine)
     _describe(world, people)
     say("trials without effects")
@@ -174,7 +199,12 @@ class _World:
 
 
 def _synthesise(
-    suite: dict[str, Any], case: Case, phantom: dict[str, Any], controllers: dict[str, Any], robot: Robot
+    suite: dict[str, Any],
+    case: Case,
+    phantom: dict[str, Any],
+    controllers: dict[str, Any],
+    robot: Robot,
+    further: Motion | None,
 ) -> _Synthetic:
     settings = _settings(suite, case, phantom)
     person = draw_person(settings, case.id, float(robot.rest_middle(np.zeros(6))[1][2]))
@@ -195,20 +225,25 @@ def _synthesise(
     if any(cause.form.within_training for cause in causes):
         regimes = [min(regimes)]
     regime = regimes[int(stream(suite, case.id, "regime").integers(len(regimes)))]
-    motions, paths, starts, hands = {}, {}, {}, {}
-    for name in TRIALS:
-        rng = stream(suite, case.id, name, "motion")
-        motions[name] = (
-            tasks.neutral(settings, rng)
-            if name == "neutral"
-            else excitation.dynamic(
-                suite, settings["trials"]["dynamic_s"], rng, regime if name == HELD_OUT else (1.0, 1.0)
-            )
-        )
+    motions = {name: _motion(suite, case, settings, name, regime) for name in TRIALS}
+    if further is not None:
+        motions[FURTHER] = further
+    paths, starts, hands = {}, {}, {}
+    for name in motions:
         starts[name] = _place(settings, suite, case.id, name)
         hands[name] = robot_controller(settings, controllers, "dynamic", starts[name])
         paths[name] = _path(robot, motions[name], starts[name], person, settings)
     return _Synthetic(case, person, settings, motions, paths, starts, hands, smooth, tuple(regime), causes)
+
+
+def _motion(
+    suite: dict[str, Any], case: Case, settings: dict[str, Any], trial: str, regime: Sequence[float]
+) -> Motion:
+    rng = stream(suite, case.id, trial, "motion")
+    if trial == "neutral":
+        return tasks.neutral(settings, rng)
+    amplitude, speed = regime if trial == HELD_OUT else (1.0, 1.0)
+    return excitation.dynamic(suite, settings["trials"]["dynamic_s"], rng, (amplitude, speed))
 
 
 def _settings(suite: dict[str, Any], case: Case, phantom: dict[str, Any]) -> dict[str, Any]:
@@ -680,7 +715,7 @@ class _Measured:
 
 def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measured]]:
     """All trials of every case with its effects."""
-    setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in TRIALS}
+    setups = {(i, t): _with(p, t, _applied(p)) for i, p in enumerate(people) for t in p.motions}
     done = _run_keys(world.fine, world.stops, setups)
     out: list[dict[str, _Measured]] = [{} for _ in people]
     for (i, trial), paths in done.items():
@@ -697,7 +732,7 @@ def _simulate(world: _World, people: list[_Synthetic]) -> list[dict[str, _Measur
 def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndarray) -> dict[str, Any]:
     settings, person = p.settings, p.person
     notes: dict[str, Any] = {}
-    for index, trial_name in enumerate(TRIALS):
+    for index, trial_name in enumerate(p.motions):
         path, paths, recording = (getattr(true[trial_name], key) for key in ("path", "paths", "recording"))
         motion = p.motions[trial_name]
         trial = Trial(trial_name, motion, path, float(p.starts[trial_name][2]), np.zeros(3), paths)

@@ -1,0 +1,85 @@
+"""Further trials of the same person: what sets of effects that two trials were enough to fit foretell of another one.
+
+A set's numbers are known as well as the trials before let them be. What it leaves of a further trial is the least with
+numbers that move no further than that, and the predictive likelihood is the one of Laplace's approximation: chi-squared
+that is left, the distance that the numbers moved, and how much the trial narrows them down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import FAILED, Pair
+from real2sim.inference.least_squares import bounded_step
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """What a set leaves of a further trial: chi-squared, and what the predictive likelihood adds to it."""
+
+    chi2: float
+    occam: float
+
+
+def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
+    """Return what both trials and the priors tell of a hypothesis' searched numbers: normal matrix (n + p, n + p)."""
+    everything = np.arange(len(hypothesis.z))
+    total = np.zeros((len(everything), len(everything)))
+    for evidence in (pair.train, pair.held_out):
+        problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
+        _, jacobian = problem.with_jacobian(hypothesis.z, everything)
+        total += jacobian.T @ jacobian
+    total[np.diag_indices_from(total)] += 1e-9
+    return total
+
+
+def foretold(
+    pair: Pair, hypothesis: Hypothesis, further: Sequence[Evidence], longest: float
+) -> list[Foretold]:
+    """Return what a hypothesis leaves of further trials, one after the other, each told by those before.
+
+    ``longest`` is the longest step of a searched number that a tangent is believed for.
+    """
+    if not further:
+        return []
+    own, z = _of_each_trial(pair, hypothesis), hypothesis.z.copy()
+    z[own] = 0.0
+    known = information(pair, hypothesis)
+    moved, out = np.zeros(len(z)), []
+    for evidence in further:
+        problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
+        r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
+        r, jacobian = r[: evidence.samples], jacobian[: evidence.samples]
+        moved[own] = 0.0
+        known[own], known[:, own] = 0.0, 0.0
+        known[own, own] = 1 / problem.prior_sd[own] ** 2
+        if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
+            out.append(Foretold(FAILED, 0.0))
+            continue
+        here = r + jacobian @ moved
+        # a coefficient of a trial's own history acts linearly however far it goes
+        furthest = np.where(own, np.inf, longest)
+        lower = np.maximum(problem.lower - z, -furthest) - moved
+        upper = np.minimum(problem.upper - z, furthest) - moved
+        more = known + jacobian.T @ jacobian
+        step = bounded_step(more, jacobian.T @ here, lower, upper)
+        narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
+        left, moved_by = float(np.sum((here + jacobian @ step) ** 2)), float(step @ known @ step + narrowed)
+        if not np.isfinite([left, moved_by]).all():
+            out.append(Foretold(FAILED, 0.0))
+            continue
+        out.append(Foretold(left, moved_by))
+        known, moved = more, moved + step
+    return out
+
+
+def _of_each_trial(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
+    """Which numbers (n + p,) the held-out trial has of its own: another trial has others, of which nothing is known."""
+    base = np.zeros(len(hypothesis.base), bool)
+    effects = [p.of_trial(held_out=True) & ~p.of_trial(held_out=False) for p in hypothesis.effects]
+    return np.concatenate([base, *effects])

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.visible import of_size
+from real2sim.diagnosis.visible import _crossed, of_size
 from real2sim.effects.base import Scales
 from real2sim.system.description import shipped_system
 
@@ -60,3 +60,16 @@ def test_what_the_data_leave_of_a_prior_is_what_a_set_pays_for():
     assert occam(100.0, 0.0) == pytest.approx(2 * np.log(12 / np.sqrt(12) / 0.01), abs=1e-3)
     # two prior SD away
     assert occam(0.0, 4.0) == pytest.approx(4.0)
+
+
+def test_the_smallest_visible_size_is_where_it_is_sure_to_earn_what_it_needs():
+    sizes = np.array([1.0, 2.0, 4.0, 8.0])
+    needed = np.full(4, 400.0)
+    # what is earned grows with the square of the size: 400 at a size of 2.828
+    assert _crossed(sizes, 50.0 * sizes**2, needed) == pytest.approx(np.sqrt(8), rel=1e-6)
+    assert _crossed(sizes, 5.0 * sizes**2, needed) is None
+    assert _crossed(sizes, 500.0 * sizes**2, needed) == 1.0
+    # from where on it stays visible: an effect that is swallowed in between is not
+    assert _crossed(sizes, np.array([500.0, 300.0, 600.0, 600.0]), needed) == pytest.approx(
+        2 * 2 ** (np.log(4 / 3) / np.log(2)), rel=1e-6
+    )

@@ -128,7 +128,7 @@ def _entry(
     earned = left.sum(axis=1)
     # chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more
     sure = earned - _ONE_SIDED_95 * 2 * np.sqrt(earned)
-    needed = gain_of_a_law(options["calibration"])
+    needed = gain_of_a_law(options["calibration"]) + _occam(placed, index, x, left[:, 0])
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
     parameter = placed.effect.parameters[index]
     rotational = bool(placed.where.axes) and placed.where.system.axes[placed.where.axes[0]].rotational
@@ -142,7 +142,21 @@ def _entry(
     }
 
 
-def _crossed(sizes: np.ndarray, sure: np.ndarray, needed: float) -> float | None:
+def _occam(placed: Placed, index: int, x: np.ndarray, earned: np.ndarray) -> np.ndarray:
+    """What the marginal likelihood adds to chi-squared (s,), see `JointResiduals.occam_of`.
+
+    By the curvature of an effect that grows in proportion to its size and earns so much (s,) of the fitted trial; its
+    other parameters are taken as known as well as that one.
+    """
+    parameter = placed.effect.parameters[index]
+    lower, upper = placed.bounds()
+    sd = placed.prior_sd()[index]
+    prior = sd if np.isfinite(sd) else (upper - lower)[index] / np.sqrt(12)
+    per = 1.0 if parameter.log else x[:, index]
+    return np.asarray(len(placed.effect.parameters) * np.log1p(earned * (prior / per) ** 2))
+
+
+def _crossed(sizes: np.ndarray, sure: np.ndarray, needed: np.ndarray) -> float | None:
     """Smallest size from which on what is surely earned stays above what is needed, by straight lines of logarithms."""
     enough = np.isfinite(sure) & (sure >= needed)
     if not enough.any():
@@ -152,7 +166,7 @@ def _crossed(sizes: np.ndarray, sure: np.ndarray, needed: float) -> float | None
     if not len(before):
         return float(abs(sizes[0]))
     i = int(before[-1])
-    low, high = np.log(max(sure[i], 1e-3)), np.log(sure[i + 1])
-    share = (np.log(needed) - low) / max(high - low, 1e-12)
+    low, high = (np.log(max(sure[k], 1e-3)) - np.log(needed[k]) for k in (i, i + 1))
+    share = -low / max(high - low, 1e-12)
     a, b = np.log(abs(sizes[i])), np.log(abs(sizes[i + 1]))
     return float(np.exp(a + np.clip(share, 0, 1) * (b - a)))

@@ -839,8 +839,9 @@ def _foot(d: Mapping[str, Any]) -> str:
         for path, digest in p.get("inputs_sha256", {}).items()
     ]
     packages = ", ".join(f"{name} {version}" for name, version in p.get("packages", {}).items())
+    judged = _trials([*d["held_out"], *d.get("further", [])])
     facts = [
-        f"Person {d['subject']}; fitted on {_trials(d['train'])}, judged on {_trials([*d['held_out'], *d.get('further', [])])}.",
+        f"Person {d['subject']}; fitted on {_trials(d['train'])}, judged on {judged}.",
         f"Format {d.get('schema', 1)}; code {p.get('code_fingerprint', 'not recorded')}; Python {p.get('python', '?')}"
         f"{'; ' + packages if packages else ''}.",
     ]

@@ -14,6 +14,7 @@ from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.trials import Trials
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
+from real2sim.system.linear import Linearised
 from real2sim.verification.systems import one_axis
 
 CONFIG = validated({}, "config", Path("defaults"))["diagnosis"]
@@ -45,6 +46,20 @@ def test_slopes_by_forces_are_those_of_replays(pair, monkeypatch):
     assert np.median(apart) < 0.01
     assert apart.max() < 0.1
     assert np.linalg.norm(replayed, axis=0).min() > 0
+
+
+@pytest.mark.parametrize("grown", [np.inf, np.nan, 1e30])
+def test_linearised_steps_that_grow_without_bound_are_not_used(pair, monkeypatch, grown):
+    both, z = pair
+    family = next(f for f in Library(both, 1.0).forces if f.kind == "dissipative")
+    few = Library(both, 1.0).only([family])
+    base = Hypothesis((), z, (np.nan, np.nan))
+    monkeypatch.setattr(
+        Linearised, "sensors", lambda self, forces, columns: np.full((len(forces), 1, 1), grown)
+    )
+    slopes = free_form._slopes_of(both.train, few, base)[2]
+    assert slopes.shape[1] == len(few.columns)
+    assert np.abs(slopes).max() < 1e9
 
 
 def test_jacobian_by_coefficients_is_that_of_differences(pair, monkeypatch):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import ENDLESS, Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Pair, Search
 from real2sim.effects import families
 from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Placed, Where
@@ -263,7 +263,7 @@ def _slopes_of(
 def _on_tangent(
     evidence: Evidence, library: Library, base: Hypothesis, parts: Sequence[Sequence[Term]]
 ) -> list[np.ndarray] | None:
-    """Slopes (r, c) by basis functions from the linearised simulation; None where that is not their slope."""
+    """Slopes (r, c) by basis functions from the linearised simulation; None where that gives none."""
     motors = library.motors
     replay = evidence.replay([*base.effects, motors], 1, coarse=True)
     x = [*(part[None] for part in base.split()), np.zeros((1, len(motors.effect.parameters)))]
@@ -278,7 +278,8 @@ def _on_tangent(
             linear, len(base.effects), library.forces_of_columns(part, evidence.context)
         )
         out.append((evidence.whitened(paths + moved, joints + turned) - here).T)
-    return out
+    # a simulation whose linearised steps grow without bound (at a stiff law, say) is asked by replays
+    return out if all(np.abs(part).max(initial=0.0) < ENDLESS for part in out) else None
 
 
 @dataclass(frozen=True)

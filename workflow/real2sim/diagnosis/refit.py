@@ -18,6 +18,8 @@ from real2sim.system.description import System
 BATCH = 16
 # A coordinate whose bounds are no further apart than this is held
 NO_RANGE = 1e-4
+# Slope [SD of noise per large force of a joint] that no stable simulation has: a large force moves by a large excursion
+ENDLESS = 1e9
 
 
 @dataclass
@@ -189,7 +191,10 @@ class JointResiduals(least_squares.Residuals):
         return out
 
     def _by_forces(self, z: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
-        """Slopes (n_r, k) by coefficients of planned forces; None where the simulation is not linear in forces."""
+        """Slopes (n_r, k) by coefficients of planned forces; None where the simulation is not linear in forces.
+
+        None too where its linearised steps grow without bound.
+        """
         paths, joints = self._run(z[None])
         linear = self._replay.linearised()
         if linear is None:
@@ -206,6 +211,8 @@ class JointResiduals(least_squares.Residuals):
                 assert force is not None
                 moved, turned = self._replay.response(linear, i, force)
                 data[:, acts] = (evidence.whitened(paths + moved, joints + turned) - here).T
+        if not np.abs(data).max(initial=0.0) < ENDLESS:
+            return None
         beside = self._beside_data(np.vstack([z, z + np.eye(len(z))[columns]]))
         return np.vstack([data[:, columns], (beside[1:] - beside[0]).T])
 

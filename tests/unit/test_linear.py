@@ -10,8 +10,11 @@ from real2sim.configuration import validated
 from real2sim.diagnosis import free_form
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.free_form import Library
+from real2sim.diagnosis.next_trial import Rival, propose
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.trials import Trials
+from real2sim.effects.base import Placed
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
 from real2sim.system.linear import Linearised
@@ -75,3 +78,24 @@ def test_jacobian_by_coefficients_is_that_of_differences(pair, monkeypatch):
     own = slice(len(z), None)
     np.testing.assert_allclose(fast[:, : len(z)], slow[:, : len(z)])
     np.testing.assert_allclose(fast[:, own], slow[:, own], atol=0.02 * np.abs(slow[:, own]).max())
+
+
+def test_the_motion_that_parts_two_hypotheses_most_is_proposed(pair):
+    """The carriage with dry friction and one with its square of the rate, in records that are there already."""
+    both, z = pair
+    hypotheses = []
+    for name in ("coulomb", "quadratic_damping"):
+        effect = next(e for e in EFFECTS if e.name == name)
+        placed = Placed(effect, effect.places(both.system)[0], both.train.scales)
+        hypotheses.append(Rival(name, Hypothesis((placed,), np.append(z, placed.starts()[0]), (1.0, 1.0))))
+    known = [("the first again", both.train), ("the second again", both.held_out)]
+    found = propose(both, hypotheses, ["x"], 1.5, lambda evidence, axes, parameters: known)
+    assert found["rivals"] == ["coulomb", "quadratic_damping"]
+    assert found["motion"] == found["tried"][0]["motion"]
+    assert len(found["tried"]) == 2
+    assert (
+        found["difference_sd"] == found["tried"][0]["difference_sd"] > found["tried"][1]["difference_sd"] > 0
+    )
+    assert found["now_sd"] > 0
+    # one alone has nothing to be told from
+    assert propose(both, hypotheses[:1], ["x"], 1.5, lambda *about: known) is None

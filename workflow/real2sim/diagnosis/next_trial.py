@@ -76,14 +76,14 @@ def propose(
     """
     if len(rivals) < 2:
         return None
-    information = [information(pair, rival.hypothesis) for rival in rivals]
+    told_by_both = [information(pair, rival.hypothesis) for rival in rivals]
 
     def apart(evidence: Evidence) -> float:
         return min(
             _left(evidence, pair, a.hypothesis, b.hypothesis, known, longest)
             for a, b, known in (
-                (rivals[0], rivals[1], information[1]),
-                (rivals[1], rivals[0], information[0]),
+                (rivals[0], rivals[1], told_by_both[1]),
+                (rivals[1], rivals[0], told_by_both[0]),
             )
         )
 

@@ -127,28 +127,25 @@ def diagnose(
     """
     progress = partial(_print, subject)
     settings = settings | {"plant": settings["plant"] | {"timestep_s": time_step(settings, step)}}
-    outcome = search_both_ways(
-        strap_trials(
-            train=train,
-            held_out=held_out,
-            neutral=neutral,
-            limits=limits,
-            robot=robot,
-            settings=settings,
-            further=further or (),
-            threads=threads,
-            progress=progress,
-        )
+    trials = strap_trials(
+        train=train,
+        held_out=held_out,
+        neutral=neutral,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        further=further or (),
+        threads=threads,
+        progress=progress,
     )
+    outcome = search_both_ways(trials)
     if outcome.found.pair.exchanged or outcome.the_other_way:
         train, held_out = held_out, train
     result = answer(outcome, settings, progress, imagined_trials)
-    progress(f"verdict {result.verdict}")
-    if traces is not None:
-        _write_traces(traces, result)
+    _write_traces(traces, result)
     about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
-    sources = _sources([train, held_out, *(further or [])], limits, robot)
     about |= {"further": [f.name for f in further or []], "refused_gates": refused_gates(gates or [])}
+    sources = _sources([train, held_out, *(further or [])], limits, robot)
     write_json(out, about | result.to_dict() | {"settings": settings, "provenance": sources})
 
 
@@ -158,7 +155,9 @@ def _sources(trials: Sequence[Path], limits: Path | None, robot: Path) -> Proven
     return provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
 
 
-def _write_traces(path: Path, result: Diagnosis) -> None:
+def _write_traces(path: Path | None, result: Diagnosis) -> None:
+    if path is None:
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.table(result.traces()), path, compression="zstd")
 

@@ -99,12 +99,13 @@ def _told(family: dict[str, Any]) -> str:
 
 
 def _with_law(answer: dict[str, Any]) -> dict[str, Any]:
-    """Entry ``parameters`` with the values that were fitted beside the measured law."""
+    """The answer with the values of ``parameters`` that were fitted beside the measured law."""
     fitted = answer["free_form"]["model"]["parameters"]
-    return {
+    parameters = {
         name: p | {"fitted": fitted[name]["value"], "with_effect": fitted[name]["value"]}
         for name, p in answer["parameters"].items()
     }
+    return answer | {"parameters": parameters}
 
 
 def export_model(
@@ -152,21 +153,16 @@ def export_model(
     ).with_scales(scales)
     law = measured_law(answer, evidence.setup.system, scales)
     if law is not None:
-        effects, x = [law], [np.empty(0)]
-        answer = answer | {"parameters": _with_law(answer)}
+        effects, x, answer = [law], [np.empty(0)], _with_law(answer)
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])
     model = evidence.replay(effects, 1)
     model.run_effects(parameters[None], [part[None] for part in x])
     simulated = model.as_simulated()
     about = [_about(placed, part) for placed, part in zip(effects, x, strict=True)]
     sources = provenance([diagnosis, robot, *([limits] if limits else [])], _PACKAGES, fingerprint(__name__))
-    text = to_mjcf(
-        baked(model, simulated),
-        simulated,
-        _header(answer, about, train.name, replay.name),
-        _texts(answer, about, sources),
-        {name: float(value) for name, value in zip(PARAMETERS, parameters, strict=True)},
-    )
+    header, texts = _header(answer, about, train.name, replay.name), _texts(answer, about, sources)
+    numbers = {name: float(value) for name, value in zip(PARAMETERS, parameters, strict=True)}
+    text = to_mjcf(baked(model, simulated), simulated, header, texts, numbers)
     write_text(out, text)
     write_json(notes, _notes(answer, about, train.name) | {"provenance": sources})
     write_replay(replay, model, simulated)

@@ -208,6 +208,7 @@ def answer(
             costs = found.cost(options), other.cost(options)
             share = share_of_other(costs, options["calibration"])
             decision = averaged(own, under_other, share, options["calibration"]["ambiguity_probability"])
+    progress(f"verdict {decision.verdict}")
     account = _Account(found, decision, settings)
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:

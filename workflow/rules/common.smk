@@ -300,6 +300,12 @@ def folders_of(subject, kind):
     return [str(Path(path).parent) for path in poses_of(subject, kind)]
 
 
+def further_of(subject):
+    """Option of the command for a person's third and further dynamic trials; nothing where there are two."""
+    folders = folders_of(subject, "dynamic")[2:]
+    return ["--further", *folders] if folders else []
+
+
 def walk_tables(subject, *kinds):
     """Tables of walking trials that the twin reads."""
     return [

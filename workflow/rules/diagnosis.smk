@@ -15,12 +15,6 @@ DIAGNOSED = [name for name, person in PEOPLE.items() if len(person.trials_of("dy
 DIAGNOSIS_THREADS = max(1, min(4, (workflow.resource_settings.cores or 1) // max(1, len(DIAGNOSED))))
 
 
-def further_of(subject):
-    """Option of the command for a person's third and further dynamic trials; nothing where there are two."""
-    folders = folders_of(subject, "dynamic")[2:]
-    return ["--further", *folders] if folders else []
-
-
 rule diagnosis:
     """The answer for everyone with two dynamic trials, and the table of all."""
     input:

@@ -94,6 +94,8 @@ class Trials:
 
     def _further(self, pair: Pair, found: Attribution) -> tuple[Evidence, ...]:
         """Evidence of further trials, whitened as the two are, with what jumps out of the best set marked."""
+        if not self.further:
+            return ()
         draws, seed = self.options["noise_draws"], self.options["search"]["seed"]
         best = min([found.plain, *found.hypotheses], key=lambda h: sum(h.chi2))
         parameters = pair.system.values(found.plain.base)

@@ -85,7 +85,7 @@ class Example:
         return float(sum(s for c, s in sets if set(c.names) == wanted))
 
     def right(self, decision: Decision) -> tuple[bool, str]:
-        """Whether the verdict is the truth (or of its family), and the verdict."""
+        """Return whether the verdict is the truth (or of its family), and the verdict."""
         stratum, said = self.case["stratum"], decision.verdict
         if decision.chosen is not None:
             said = " + ".join(sorted(self.candidates[decision.chosen].names))

@@ -20,9 +20,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 from real2sim.artefacts import read_json, write_json
-from real2sim.configuration import validated
+from real2sim.configuration import read_yaml, validated
 from real2sim.diagnosis.decide import NONE
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Search
@@ -38,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def trials_of(folder: Path, tables: Path, robot: Path) -> Trials:
     """Return the two dynamic trials of raw exports."""
     config = ROOT / "config/config.yaml"
-    settings = validated(yaml.safe_load(config.read_text()), "config", config)
+    settings = validated(read_yaml(config), "config", config)
     raw = sorted(p for p in folder.iterdir() if p.name != "subject.yaml")
     ingest_subject(subject=folder.name, folder=folder, settings=settings["ingest"], raw=raw, out=tables)
     settings |= {"plant": settings["plant"] | {"timestep_s": time_step(settings, None)}}

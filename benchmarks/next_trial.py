@@ -1,7 +1,7 @@
 """Does the trial that an answer proposes make the right answer surer?
 
     snakemake --cores 2 suite --config suite=config/suite-judgement.yaml
-    python benchmarks/next_trial.py results/suite/judgement --out results/next_trial.json
+    python benchmarks/next_trial.py results/suite/judgement --config config/suite-judgement.yaml
 
 For people whose answer was `unknown` or split, the phantom makes the proposed motion (same person, same cause, new
 noise), the trial is written and read like the others, and the diagnosis is asked again with all three. Counted is the
@@ -19,7 +19,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import yaml
 from real2sim.artefacts import read_json, write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.diagnosis.decide import NONE, UNKNOWN
@@ -36,13 +35,6 @@ ROOT = Path(__file__).resolve().parents[1]
 ROBOT = ROOT / "resources/robot/drba.xml"
 # An answer below this probability is split
 SURE = 0.9
-
-
-def settings_of(left_out: list[str]) -> dict[str, Any]:
-    """Return the configuration, some names left out of the catalogue."""
-    config = ROOT / "config/config.yaml"
-    settings = validated(yaml.safe_load(config.read_text()), "config", config)
-    return settings | {"diagnosis": settings["diagnosis"] | {"left_out": left_out}}
 
 
 def right(case: dict[str, Any], answer: dict[str, Any]) -> float:
@@ -97,12 +89,12 @@ def chosen(suite: Path) -> Iterator[tuple[int, dict[str, Any], dict[str, Any]]]:
 
 def recorded(suite: dict[str, Any], shard: int, paths: dict[str, np.ndarray], out: Path) -> None:
     """Write a shard's people anew, with the further trial of some."""
-    config = settings_of([])
+    config = ROOT / "config/config.yaml"
     write_with_further(
         suite=suite,
         shard=shard,
         settings=read_yaml(ROOT / "config/phantom.yaml"),
-        controllers=config["robot"],
+        controllers=validated(read_yaml(config), "config", config)["robot"],
         robot=ROBOT,
         out=out,
         truth=out / "sealed.json",

@@ -538,33 +538,31 @@ def _considered(attribution: Attribution, decision: Decision, exchanged: bool) -
     J is that of the trial that shows the gap; ``occam`` is what the marginal likelihood adds to chi-squared.
     """
     return [
-        {
-            "effects": list(h.names),
-            "places": [placed.key for placed in h.effects],
-            "parameters": h.own,
-            "chi2": list(h.chi2),
-            "J": h.j[0 if exchanged else 1],
-            "occam": h.occam - attribution.plain.occam,
-            "probability": float(probability),
-        }
+        {"effects": list(h.names), "places": [placed.key for placed in h.effects]}
+        | _left_by(h, attribution, exchanged)
+        | {"probability": float(probability)}
         for h, probability in zip(attribution.hypotheses, decision.sets, strict=True)
     ]
+
+
+def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[str, Any]:
+    return {
+        "parameters": h.own,
+        "chi2": list(h.chi2),
+        "J": h.j[0 if exchanged else 1],
+        "occam": h.occam - attribution.plain.occam,
+    }
 
 
 def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool) -> dict[str, Any]:
     """The measured law that competed with the names, as an entry of ``considered`` without effects."""
     assert misfit.measured is not None
     law = misfit.measured.laws[0]
-    h = law.hypothesis
-    return {
-        "effects": [],
-        "places": [family.key for family in law.families],
-        "parameters": law.parameters,
-        "chi2": list(h.chi2),
-        "J": h.j[0 if exchanged else 1],
-        "occam": h.occam - attribution.plain.occam,
-        "probability": misfit.rival,
-    }
+    return (
+        {"effects": [], "places": [family.key for family in law.families]}
+        | _left_by(law.hypothesis, attribution, exchanged)
+        | {"probability": misfit.rival}
+    )
 
 
 def _baselines(attribution: Attribution) -> dict[str, str]:

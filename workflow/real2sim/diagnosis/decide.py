@@ -62,7 +62,7 @@ class Candidate:
 
     @property
     def answer(self) -> tuple[frozenset[str], bool]:
-        """What it says of the cause: the same for every order, form and place of its effects."""
+        """Names of the cause: the same for every order, form and place of its effects."""
         return frozenset(self.names), self.unlisted
 
 
@@ -125,7 +125,7 @@ def gain_of_a_law(c: DiagnosisCalibrationSettings) -> float:
 def is_out_of_reach(
     plain: tuple[float, float], samples: tuple[int, int], questionable: float, c: DiagnosisCalibrationSettings
 ) -> bool:
-    """Whether the plain plant leaves so little that even a law which explained all of it would not be believed.
+    """Return whether the plain plant leaves so little that even a law which explained all of it would not be believed.
 
     Given chi-squared of the plain plant on both trials; two standard deviations of what noise leaves are granted to
     that law, and it has to be as likely as ``questionable``.

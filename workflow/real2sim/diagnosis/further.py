@@ -20,7 +20,7 @@ from real2sim.inference.least_squares import bounded_step
 
 @dataclass(frozen=True)
 class Foretold:
-    """What a set leaves of a further trial: chi-squared, and what the predictive likelihood adds to it."""
+    """Chi-squared that a set leaves of a further trial, and what the predictive likelihood adds to it."""
 
     chi2: float
     occam: float
@@ -33,7 +33,9 @@ def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     for evidence in (pair.train, pair.held_out):
         problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
         _, jacobian = problem.with_jacobian(hypothesis.z, everything)
-        total += jacobian.T @ jacobian
+        # rows of the priors count once
+        rows = jacobian[: evidence.samples] if evidence is pair.held_out else jacobian
+        total += rows.T @ rows
     total[np.diag_indices_from(total)] += 1e-9
     return total
 

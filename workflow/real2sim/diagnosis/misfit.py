@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What a named set leaves.
+    """Chi-squared that a named set leaves, and the laws that could explain it.
 
     ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
     ``share``: of what the plain plant leaves beyond noise, on both trials. ``measured`` are the laws without a name,

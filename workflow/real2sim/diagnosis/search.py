@@ -104,6 +104,8 @@ class Search:
         held_out = JointResiduals(self.pair.held_out, effects, self.pair.system, coarse=not final)
         if len(held_out.free):
             z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
+            # what the other trial has of its own pays there for what it could have been
+            occam += 0.0 if held_out.last is None else held_out.occam_of(z, held_out.last)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
         # what cannot be simulated explains nothing
         judged = np.where(np.isfinite(judged), judged, FAILED)
@@ -122,7 +124,7 @@ class Search:
         return self.pair.train.samples, self.pair.held_out.samples
 
     def excess(self, hypothesis: Hypothesis) -> float:
-        """What a hypothesis leaves beyond noise, in SD of what noise leaves.
+        """Return what a hypothesis leaves beyond noise, in SD of what noise leaves.
 
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
         """
@@ -152,7 +154,7 @@ class Search:
         return self._noise[key]
 
     def is_noise(self, hypothesis: Hypothesis) -> bool:
-        """Whether a hypothesis leaves nothing that a further effect has to explain."""
+        """Return whether a hypothesis leaves nothing that a further effect has to explain."""
         return bool(self.excess(hypothesis) < self._settings["pair_excess_sigma"])
 
     def fit_screened(self, screened: Screened) -> Hypothesis:

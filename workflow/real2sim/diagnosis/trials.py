@@ -136,18 +136,12 @@ class Found:
         """Return a hypothesis as the decision sees it; ``law`` are the keys of families without a name."""
         more = self.foretold(hypothesis, options)
         occam = hypothesis.occam - self.attribution.plain.occam + sum(f.occam for f in more)
-        effects = () if law else hypothesis.effects
-        names = tuple(law) or hypothesis.names
-        return Candidate(
-            names,
-            (*hypothesis.chi2, *(f.chi2 for f in more)),
-            occam,
-            unlisted=bool(law),
-            ambiguous=is_ambiguous(effects),
-            places=tuple(tuple(p.key for p in effects if p.effect.name == name) for name in hypothesis.names)
-            if effects
-            else (),
-        )
+        chi2 = (*hypothesis.chi2, *(f.chi2 for f in more))
+        if law:
+            return Candidate(tuple(law), chi2, occam, unlisted=True)
+        effects, names = hypothesis.effects, hypothesis.names
+        places = tuple(tuple(p.key for p in effects if p.effect.name == name) for name in names)
+        return Candidate(names, chi2, occam, ambiguous=is_ambiguous(effects), places=places)
 
     @property
     def initial_state(self) -> str:

@@ -44,7 +44,7 @@ class Displacement:
 
     @property
     def key(self) -> str:
-        """What it is called in progress lines and tables."""
+        """Name in progress lines and tables."""
         what = "interface markers" if self.stage == "output" else "segment's path"
         return f"displacement of the {what} by {', '.join(self.depends_on)}"
 

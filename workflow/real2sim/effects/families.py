@@ -309,7 +309,7 @@ class Family:
 
     @property
     def key(self) -> str:
-        """What it is called in progress lines and tables."""
+        """Name in progress lines and tables."""
         of = f" of {', '.join(self.depends_on)}" if self.depends_on else ""
         return f"{self.kind.removesuffix(' force')} force along {', '.join(self.axes)}{of}"
 

@@ -6,11 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, firwin, sosfiltfilt, upfirdn
 
 # What the cubic across a gap is fitted to on either side: two samples determine it, four halve the effect of noise, and
 # at high rates four samples are so short a time that their noise swings the cubic far out between them [s].
 _SUPPORT, _SUPPORT_S = 4, 0.04
+# Samples to either side that a value between samples is made of
+_INTERPOLATION = 32
 
 
 def segments(good: np.ndarray) -> list[slice]:
@@ -122,6 +124,27 @@ def resample(
         inside = (new_time_s >= t[0] - 1e-9) & (new_time_s <= t[-1] + 1e-9)
         out[inside] = CubicSpline(t, x)(new_time_s[inside]) if len(t) > 1 else x[0]
     return out
+
+
+def upsampled(values: np.ndarray, parts: int) -> np.ndarray:
+    """Return a band-limited signal (n, k) at ``parts`` times its rate, ((n - 1) parts + 1, k), the samples kept.
+
+    A low-pass of 32 samples to either side: a sine at nine tenths of half the rate is kept to 1e-4. A cubic spline
+    would make one at two thirds of it smaller by 6 %. At its ends the signal goes on along its odd reflection.
+    """
+    if parts == 1:
+        return values.copy()
+    around = min(_INTERPOLATION, len(values) - 1)
+    padded = np.concatenate(
+        [2 * values[0] - values[around:0:-1], values, 2 * values[-1] - values[-2 : -around - 2 : -1]]
+    )
+    window = firwin(2 * _INTERPOLATION * parts + 1, 1 / parts, window=("kaiser", 10.0)) * parts
+    # zeros of the low-pass lie on the samples, but for its finite length: they are kept as they are
+    out = upfirdn(window, padded, up=parts, axis=0)
+    first = (around + _INTERPOLATION) * parts
+    out = out[first : first + (len(values) - 1) * parts + 1]
+    out[::parts] = values
+    return np.asarray(out)
 
 
 def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose
+from real2sim.recording.levels import moving_sd, white_sd
 from real2sim.recording.table import Recording, log_columns
 from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of
 from real2sim.system.description import FORCE, PATH, POSE, System
@@ -45,13 +46,6 @@ class Segment:
     position: np.ndarray
     shape: np.ndarray
     cutoff_hz: float
-
-
-def white_sd(values: np.ndarray) -> np.ndarray:
-    """Return the SD (c,) of white noise of series (n, c) whose motion is slow: of their third differences."""
-    third = np.diff(signals.bridged(values), n=3, axis=0)
-    spread = np.median(np.abs(third - np.median(third, axis=0)), axis=0) / 0.6745
-    return np.asarray(spread / np.sqrt(20.0))
 
 
 class DescribedTrial:
@@ -329,8 +323,7 @@ class DescribedTrial:
         """Mean force (nstep, c) over a step about each of ``steps`` (nstep,) [s]: rates live half a step late."""
         time_s = self._recording.time_s
         if not self._system.drive.held:
-            # straight lines between samples would make a sine of 1 Hz at 100 Hz smaller by 3e-4
-            return np.asarray(make_interp_spline(time_s, columns, k=3)(steps))
+            return signals.upsampled(columns, round(self._recording.step_s / h))[: len(steps)]
         edges = np.append(time_s, time_s[-1] + self._recording.step_s)
         out = []
         for column in columns.T:
@@ -358,10 +351,18 @@ class DescribedTrial:
         """White noise SD of what drives: (k, 3) of the segment's markers [m], or (c,) of columns."""
         if self._pose:
             markers = self._levels.markers(self._system.markers.segment)
-            return white_sd(markers.reshape(len(markers), -1)).reshape(markers.shape[1:])
+            return self._noise_sd(markers.reshape(len(markers), -1)).reshape(markers.shape[1:])
+        columns = self._levels.stack(tuple(self._system.drive.columns.values()))
+        # a command is known as it is: what is fast in it is no noise
+        if self._quiet is None and self._system.drive.held:
+            return np.zeros(columns.shape[1])
+        return self._noise_sd(columns)
+
+    def _noise_sd(self, levels: np.ndarray) -> np.ndarray:
+        """White noise SD (c,) of channels (n, c) of the recording that noise is measured in."""
         if self._quiet is None:
-            return np.zeros(len(self._system.drive.columns))
-        return white_sd(self._quiet.stack(tuple(self._system.drive.columns.values())))
+            return moving_sd(levels, self._rate, self._cutoff)
+        return white_sd(levels)
 
     def draw(self, seed: int, number: int, parts: int) -> np.ndarray:
         """Return the command (nstep, c) of a drive that was measured with other noise."""
@@ -416,8 +417,8 @@ class DescribedTrial:
             + [max(o.trusted_to, _TINY) for o in system.outputs]
             + [j.trusted_to for j in system.machine if j.logged]
         )
-        observed_sd = white_sd(quiet)
-        logged_sd = white_sd(levels.stack(tuple(log_columns(system).values())))
+        observed_sd = self._noise_sd(quiet)
+        logged_sd = self._noise_sd(levels.stack(tuple(log_columns(system).values())))
         return Measured(
             recording.time_s,
             observed,
@@ -429,6 +430,11 @@ class DescribedTrial:
             *self._start_sd(observed_sd, logged_sd),
             self._rest_sd(),
             self._to_axes(observed.shape[1]),
+            np.array(
+                [0.0] * (3 * len(marker_names))
+                + [o.zero_sd for o in system.outputs]
+                + [0.0] * logged.shape[1]
+            ),
         )
 
     def _start_sd(
@@ -450,9 +456,22 @@ class DescribedTrial:
         out = {j: max(s, 1e-7) for j, s in out.items()}
         if self._still:
             return out, {}
-        # a cubic does not tell a rate that changes within the window: it is as good as unknown
-        rates = {j: self._settings["rate_share"] * float(_large(self._rate_of[j])) for j in out}
-        return out, rates
+        # a cubic does not tell a rate that changes within the window: it is as good as unknown, and so is the place of
+        # what swings there
+        off = {j: self._off_the_cubic(j) for j in out}
+        rates = {
+            j: float(np.hypot(self._settings["rate_share"] * _large(self._rate_of[j]), off[j][1]))
+            for j in out
+        }
+        return {j: float(np.hypot(s, off[j][0])) for j, s in out.items()}, rates
+
+    def _off_the_cubic(self, joint: str) -> tuple[float, float]:
+        """RMS of a joint's low-passed position [m, rad] and rate about the cubic that tells where it starts."""
+        n = self._start_weights().shape[1]
+        position = self._position[joint][:n]
+        basis = np.vander(np.arange(n) / self._rate, 4, increasing=True)
+        off = position - basis @ np.linalg.lstsq(basis, position, rcond=None)[0]
+        return float(off.std()), float(np.gradient(off, self._recording.step_s).std())
 
     def _rest_sd(self) -> np.ndarray:
         """SD (axes,) [m, rad] of the rest pose, of the means of seconds of the quiet recording; 0 without one."""

@@ -35,7 +35,7 @@ class Measured:
     ``drive_draw`` maps a random generator to a command (nstep, c) of the drive as measured with other noise, None where
     the drive has no noise. ``start_sd`` and ``start_rate_sd`` map joints to the SD of their position [m, rad] and rate
     at the start, ``rest_sd`` (axes,) is that of the rest pose. ``to_axes`` (n, axes, c) maps errors of observations to
-    those of the interface's coordinates.
+    those of the interface's coordinates. ``zero_sd`` (c + j,): SD of each channel's zero from recording to recording.
     """
 
     time_s: np.ndarray
@@ -49,6 +49,7 @@ class Measured:
     start_rate_sd: Mapping[str, float]
     rest_sd: np.ndarray
     to_axes: np.ndarray
+    zero_sd: np.ndarray
 
     @property
     def sd(self) -> np.ndarray:
@@ -278,7 +279,7 @@ class SystemEvidence:
         return self._apart(replay, parameters, x, draws) - own
 
     def _nuisance(self, parameters: np.ndarray) -> np.ndarray:
-        """Change of the residuals (k, n, c) by one SD of each per-trial nuisance parameter: start and rest pose."""
+        """Change of the residuals (k, n, c) by one SD of each per-trial nuisance parameter: start, rest pose, zeros."""
         rest = next(e for e in EFFECTS if e.name == "preload" and not e.form)
         places = [w for w in rest.places(self.system) if self.measured.rest_sd[w.axis] > 0]
         effects = [Placed(rest, where, self.scales) for where in places]
@@ -293,7 +294,15 @@ class SystemEvidence:
             replay.shift_start(1 + len(places) + i, joint, sd, rate=rate)
         paths, joints = replay.run_effects(np.tile(parameters, (m, 1)), x)
         both = np.concatenate([paths, joints], axis=2)
-        return np.asarray(np.nan_to_num(both[1:] - both[:1]))
+        return np.concatenate([np.nan_to_num(both[1:] - both[:1]), self._moved_zeros()])
+
+    def _moved_zeros(self) -> np.ndarray:
+        """Change of the residuals (k, n, c) by one SD of the zero of each channel that has none of its own."""
+        zero_sd = self.measured.zero_sd
+        moved = np.flatnonzero(zero_sd)
+        out = np.zeros((len(moved), len(self.measured.time_s), self.channels))
+        out[np.arange(len(moved)), :, moved] = zero_sd[moved, None]
+        return out
 
     def with_spikes(self, paths: np.ndarray) -> SystemEvidence:
         """The same trial with samples marked where observations jump out of simulated ones (n, c); self for none."""

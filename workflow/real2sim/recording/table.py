@@ -17,6 +17,7 @@ from real2sim.errors import InputError
 from real2sim.recording.formats.joint_states import read_joint_states
 from real2sim.recording.formats.recordings import Finding
 from real2sim.recording.formats.text import check_number_of_names
+from real2sim.recording.levels import scatter_of_pair, scatter_of_repeats
 from real2sim.system.description import POSE, System
 
 TIME = "time_s"
@@ -88,6 +89,59 @@ class Recording:
     def stack(self, names: tuple[str, ...]) -> np.ndarray:
         """Return columns (n, k) side by side."""
         return np.column_stack([self.columns[n] for n in names]) if names else np.empty((len(self.time_s), 0))
+
+    def scatter_of_repeats(
+        self, period_s: float, from_s: float = 0.0, to_s: float | None = None
+    ) -> dict[str, float]:
+        """Return the SD of every column from repeat to repeat of a motion, about the mean of its repeats, in its unit.
+
+        What two laps or cycles under the same command do not share is noise, whatever the model. `System.trusting`
+        takes it as the level below which no residual is trusted.
+
+        Parameters
+        ----------
+        period_s
+            Length of one repeat [s], to 3 %; it is refined to what repeats best.
+        from_s, to_s
+            Part of the recording in which the motion repeats, by the recording's clock [s]; to its end by default.
+
+        Raises
+        ------
+        InputError
+            Where that part holds fewer than two repeats, or repeats of fewer than 8 samples.
+        """
+        last = self.time_s[-1] if to_s is None else to_s
+        within = (self.time_s >= from_s) & (self.time_s <= last)
+        values = np.column_stack([column[within] for column in self.columns.values()])
+        try:
+            sd, _, _ = scatter_of_repeats(values, period_s / self.step_s)
+        except ValueError as error:
+            raise InputError(
+                self.name,
+                f"{from_s:g} s to {last:g} s",
+                str(error),
+                f"two repeats of {period_s:g} s and more, of 8 samples and more",
+                "Give the part of the recording in which the motion repeats, and its period.",
+                "value",
+            ) from error
+        return dict(zip(self.columns, map(float, sd), strict=True))
+
+    def scatter_to(self, other: Recording) -> dict[str, float]:
+        """Return the SD of every column between two recordings under the same command, as `scatter_of_repeats`.
+
+        Raises
+        ------
+        InputError
+            Where they share only a few samples.
+        """
+        one, two = (np.column_stack([r.columns[name] for name in self.columns]) for r in (self, other))
+        try:
+            sd = scatter_of_pair(one, two)
+        except ValueError as error:
+            raise InputError(
+                other.name, "", str(error), f"as many samples as {self.name}", "Give a longer part.", "value"
+            ) from error
+        return dict(zip(self.columns, map(float, sd), strict=True))
 
     def markers(self, names: tuple[str, ...]) -> np.ndarray:
         """Return marker paths (n, k, 3) [m, world]."""

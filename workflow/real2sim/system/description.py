@@ -99,12 +99,15 @@ class Output:
     """A measured column: ``quantity`` ("position", "velocity" or "force") of a joint of the model.
 
     ``trusted_to`` is the SD below which no residual is trusted, in the column's unit; 0 where its noise alone counts.
+    ``zero_sd``: the zero of the column differs so much from recording to recording (SD), as that of a force sensor
+    does; 0 where it stays.
     """
 
     column: str
     joint: str
     quantity: str = "position"
     trusted_to: float = 0.0
+    zero_sd: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,22 @@ class System:
                 "Name what is driven.",
                 "value",
             )
+
+    def trusting(self, levels: Mapping[str, float]) -> System:
+        """The same system whose outputs and logs are trusted no further than ``levels``, SD by column in its unit.
+
+        Such levels come from repeats (`Recording.scatter_of_repeats`). Columns that it does not name stay as they are;
+        a level that is larger already stays too.
+        """
+        units = self.joint_units
+        outputs = tuple(
+            replace(o, trusted_to=max(o.trusted_to, float(levels.get(o.column, 0.0)))) for o in self.outputs
+        )
+        machine = tuple(
+            replace(j, trusted_to=max(j.trusted_to, float(levels.get(f"{j.name}_{units[j.name]}", 0.0))))
+            for j in self.machine
+        )
+        return replace(self, outputs=outputs, machine=machine)
 
     def with_model(
         self,

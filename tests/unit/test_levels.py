@@ -1,0 +1,88 @@
+"""Noise is read off what stands above the band, or off repeats; a fast signal is kept between samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from real2sim import signals
+from real2sim.errors import InputError
+from real2sim.recording.levels import moving_sd, scatter_of_pair, scatter_of_repeats, white_sd
+from real2sim.recording.table import Recording
+from real2sim.system.description import shipped_system
+
+RATE_HZ = 600.0
+
+
+def _moving(samples: int, sd: float, seed: int = 1) -> np.ndarray:
+    """A sine of 70 Hz and a slow one with white noise, (samples, 1)."""
+    time_s = np.arange(samples) / RATE_HZ
+    clean = np.sin(2 * np.pi * 70 * time_s) + 3 * np.sin(2 * np.pi * 0.7 * time_s)
+    return (clean + sd * np.random.default_rng(seed).standard_normal(samples))[:, None]
+
+
+def test_noise_of_a_fast_motion_is_read_above_its_band():
+    values = _moving(4000, 1e-3)
+    assert moving_sd(values, RATE_HZ, 200.0)[0] == pytest.approx(1e-3, rel=0.15)
+    assert white_sd(values)[0] > 20e-3  # third differences take the motion for noise
+
+
+def test_a_line_above_the_band_is_not_taken_for_noise():
+    values = _moving(4000, 1e-3)
+    values[:, 0] += 0.1 * np.sin(2 * np.pi * 250 * np.arange(4000) / RATE_HZ)
+    assert moving_sd(values, RATE_HZ, 200.0)[0] == pytest.approx(1e-3, rel=0.2)
+
+
+def test_without_room_above_the_band_third_differences_tell_the_noise():
+    values = 1e-3 * np.random.default_rng(0).standard_normal((2000, 2))
+    assert moving_sd(values, 100.0, 45.0) == pytest.approx(white_sd(values))
+
+
+@pytest.mark.parametrize("told_off", [0.0, 0.02, -0.02])
+def test_repeats_tell_the_noise_whatever_the_motion(told_off):
+    period = 119.3
+    phase = 2 * np.pi * np.arange(1500) / period
+    rng = np.random.default_rng(3)
+    motion = np.column_stack([np.sin(phase), np.tanh(20 * np.cos(phase))])
+    sd, count, length = scatter_of_repeats(
+        motion + [0.01, 0.05] * rng.standard_normal(motion.shape), period * (1 + told_off)
+    )
+    assert count == 12
+    assert length == pytest.approx(period, rel=2e-3)
+    assert sd == pytest.approx([0.01, 0.05], rel=0.25)
+
+
+def test_two_recordings_of_one_command_tell_the_noise_though_their_clocks_are_apart():
+    time_s = np.arange(1200) / RATE_HZ
+    rng = np.random.default_rng(4)
+    one, other = (
+        np.sin(2 * np.pi * 70 * (time_s - late))[:, None] + 0.01 * rng.standard_normal((1200, 1))
+        for late in (0.0, 0.7 / RATE_HZ)
+    )
+    assert scatter_of_pair(one, other)[0] == pytest.approx(0.01, rel=0.3)
+
+
+def test_values_between_samples_keep_a_fast_sine():
+    time_s = np.arange(400) / 100.0
+    fine = signals.upsampled(np.sin(2 * np.pi * 33 * time_s + 0.3)[:, None], 5)[:, 0]
+    at = np.arange(len(fine)) / 500.0
+    assert len(fine) == 399 * 5 + 1
+    assert np.abs(fine - np.sin(2 * np.pi * 33 * at + 0.3))[300:-300].max() < 1e-4
+
+
+def _recording(values: np.ndarray) -> Recording:
+    return Recording("laps", np.arange(len(values)) / 100.0, {"motor_force_N": values, "carriage_m": values})
+
+
+def test_a_description_trusts_no_further_than_its_repeats():
+    phase = 2 * np.pi * np.arange(1000) / 100
+    noise = 0.02 * np.random.default_rng(5).standard_normal(1000)
+    scatter = _recording(np.sin(phase) + noise).scatter_of_repeats(1.0)
+    system = shipped_system("emps")
+    assert scatter["carriage_m"] == pytest.approx(0.02, rel=0.25)
+    assert system.trusting(scatter).outputs[0].trusted_to == scatter["carriage_m"]
+    assert system.trusting({}).outputs == system.outputs
+
+
+def test_too_few_repeats_are_refused():
+    with pytest.raises(InputError, match="two repeats"):
+        _recording(np.sin(np.arange(150.0))).scatter_of_repeats(1.0)

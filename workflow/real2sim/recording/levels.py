@@ -1,0 +1,110 @@
+"""How loud the noise of a recording's columns is: of what stands still, above the band, or from repeat to repeat."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from real2sim import signals
+
+# Share of the frequencies up to half the sample rate that a level is read off, at least
+_LEAST_SHARE = 0.15
+# The first frequencies above the band are left out: what moves does not end at a line
+_MARGIN = 1.1
+# How far a period that is told may be off, as a share of it
+_PERIOD_OFF = 0.03
+# Values between samples: parts of an interval, straight lines between them; and samples that a start may be off
+_PARTS, _LATE = 16, 3
+# Samples of one repeat at least
+_LEAST_SAMPLES = 8
+
+
+def white_sd(values: np.ndarray) -> np.ndarray:
+    """Return the SD (c,) of white noise of series (n, c) whose motion is slow: of their third differences."""
+    third = np.diff(signals.bridged(values), n=3, axis=0)
+    spread = np.median(np.abs(third - np.median(third, axis=0)), axis=0) / 0.6745
+    return np.asarray(spread / np.sqrt(20.0))
+
+
+def moving_sd(values: np.ndarray, rate_hz: float, band_hz: float) -> np.ndarray:
+    """Return the SD (c,) of white noise of series (n, c) that move, up to ``band_hz``.
+
+    It is read off the spectrum above the band, by the median, so that a few lines do not count. Where the sample rate
+    leaves too little above the band, third differences tell it (`white_sd`), to which a fast motion adds.
+    """
+    frequencies = np.fft.rfftfreq(len(values), 1 / rate_hz)
+    above = frequencies > _MARGIN * band_hz
+    if above.sum() < _LEAST_SHARE * len(frequencies):
+        return white_sd(values)
+    # a window without steps at its ends in value and slope: what moves must not leak up
+    window = np.blackman(len(values))[:, None]
+    known = signals.bridged(values)
+    power = np.abs(np.fft.rfft((known - known.mean(axis=0)) * window, axis=0)) ** 2 / np.sum(window**2)
+    # the power at one frequency is exponentially distributed about the level
+    return np.asarray(np.sqrt(np.median(power[above], axis=0) / np.log(2)))
+
+
+def repeats(values: np.ndarray, samples: float, first: int = 0) -> np.ndarray:
+    """Return the whole repeats (r, m, c) of series (n, c) from a sample on, ``samples`` (not rounded) each."""
+    count = int((len(values) - 1 - first) // samples)
+    phase = np.arange(int(samples))
+    at = first + samples * np.arange(count)[:, None] + phase
+    fine = signals.upsampled(signals.bridged(values), _PARTS)
+    sample = np.arange(len(fine)) / _PARTS
+    return np.stack([np.interp(at, sample, column) for column in fine.T], axis=-1)
+
+
+def scatter_of_repeats(values: np.ndarray, samples: float, first: int = 0) -> tuple[np.ndarray, int, float]:
+    """Return the SD (c,) of series (n, c) about the mean of their repeats, how many there are, and their length.
+
+    Parameters
+    ----------
+    samples
+        Length of a repeat, in samples, to 3 %; it is refined to what repeats best, in all columns as shares of what
+        each varies.
+    first
+        First sample of the first repeat.
+
+    Raises
+    ------
+    ValueError
+        Where the recording holds fewer than two repeats, or repeats of a few samples.
+    """
+    if samples < _LEAST_SAMPLES or (len(values) - 1 - first) < 2 * samples * (1 + _PERIOD_OFF):
+        raise ValueError(f"{len(values) - first} samples hold no two repeats of {samples:.1f} samples")
+    usual = np.maximum(np.nanstd(values, axis=0), 1e-300)
+
+    def apart(length: float) -> float:
+        return float(repeats(values / usual, length, first).var(axis=0, ddof=1).mean())
+
+    around = samples * (1 + _PERIOD_OFF * np.linspace(-1, 1, 61))
+    best = around[int(np.argmin([apart(length) for length in around]))]
+    near = samples * _PERIOD_OFF / 30
+    best = float(minimize_scalar(apart, bounds=(best - near, best + near), method="bounded").x)
+    laps = repeats(values, best, first)
+    return np.sqrt(laps.var(axis=0, ddof=1).mean(axis=0)), len(laps), best
+
+
+def scatter_of_pair(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the SD (c,) of two series (n, c), (m, c) of the same motion about their mean.
+
+    Their clocks may be apart by a part of a sample, or by up to three: the second is moved to where it agrees best.
+
+    Raises
+    ------
+    ValueError
+        Where they share only a few samples.
+    """
+    shared = min(len(one), len(other)) - 2 * _LATE
+    if shared < _LEAST_SAMPLES:
+        raise ValueError(f"{len(one)} and {len(other)} samples")
+    fine = signals.upsampled(signals.bridged(other), _PARTS)
+    middle = signals.bridged(one)[_LATE : _LATE + shared]
+    usual = np.maximum(middle.std(axis=0), 1e-300)
+    best, least = middle, np.inf
+    for first in range(2 * _LATE * _PARTS + 1):
+        moved = fine[first::_PARTS][:shared]
+        apart = float(np.mean(((moved - middle) / usual) ** 2))
+        if apart < least:
+            best, least = moved, apart
+    return np.asarray(np.sqrt(np.mean((best - middle) ** 2, axis=0) / 2))

@@ -139,7 +139,7 @@ def attribute(
     if not quiet:
         hypotheses = _other_laws(search, hypotheses, everything, settings)
         hypotheses = _redrawn(search, hypotheses, everything, settings)
-    hypotheses[0] = _converged(search, plain, hypotheses[0], settings)
+    hypotheses = _with_best_converged(search, plain, hypotheses, settings)
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
@@ -159,6 +159,28 @@ def attribute(
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
+
+
+def _with_best_converged(
+    search: Search, plain: Hypothesis, found: list[Hypothesis], settings: DiagnosisSearchSettings
+) -> list[Hypothesis]:
+    """Single effects, the best one refitted to the end, and where it leaves something its rivals in its place too.
+
+    Of two laws of friction that were both cut short, the one that was further on would be taken for the other.
+    """
+    best = _converged(search, plain, found[0], settings)
+    first, out = best.effects[0], [best]
+    known = set(best.names)
+    for h in found[1:]:
+        rival = (
+            not search.is_noise(best) and _rivals(first, h.effects[0]) and _same_place(first, h.effects[0])
+        )
+        if rival and not known & set(h.names):
+            known |= set(h.names)
+            out.append(_converged(search, plain, h, settings))
+        else:
+            out.append(h)
+    return sorted(out, key=lambda h: sum(h.chi2))
 
 
 def _converged(

@@ -201,7 +201,7 @@ EFFECTS = (
         (
             FRICTION,
             EffectParameter("static_excess", "1", 0.05, 2.0, (0.5,)),
-            EffectParameter("deflection", "m|rad", 0.005, 0.2, (0.03,), excursion, log=True),
+            EffectParameter("deflection", "m|rad", 0.0005, 0.2, (0.03, 0.003), excursion, log=True),
             EffectParameter("stribeck_rate", "m/s|rad/s", 0.01, 1.0, (0.1,), rate, log=True),
         ),
         separating_trial="sub-millimetre reversals and a ladder of speeds",

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.diagnosis.law import _Fitted, _least
+from real2sim.diagnosis.law import least_family
 from real2sim.effects.families import Family, Range, Variable, families
 from real2sim.system.description import shipped_system
 
@@ -40,7 +40,7 @@ def _told(library, kind: str, axes: tuple[str, ...], wanted) -> dict:
     family: Family = next(f for f in library.forces if (f.kind, f.axes) == (kind, axes))
     x = np.array([wanted([t.name for t in row]) for row in family.terms], float)
     assert x.any()
-    return _least(_Fitted(family, x, np.eye(len(x))), library, PAIR)
+    return least_family(family, x, library, PAIR)
 
 
 def test_a_potential_of_two_springs_is_elastic(library):

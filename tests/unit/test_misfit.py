@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real2sim.diagnosis.free_form import Law
-from real2sim.diagnosis.misfit import is_kin
+from real2sim.diagnosis.kin import is_kin
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -83,7 +83,7 @@ def test_the_page_says_what_is_left_and_of_what_kind():
         "own_history_in_each_trial": False,
     }
     text = misfit_sentence({"marked": True, "left_sd": [30.1, 71.2], "left_share": 0.01, "law": law})
-    assert "The form is not right" in text
+    assert "closes 99 % of the gap, and is not all" in text
     assert "71" in text
     assert "12 N (RMS) along ty that depends on q_ty (elastic)" in text
     assert misfit_sentence({"marked": False, "left_sd": [0.1, 0.2], "left_share": 0.0, "law": None}) == ""

@@ -14,7 +14,8 @@ from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
 from real2sim.diagnosis.law import describe
-from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart
+from real2sim.diagnosis.layers import layered
+from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart, with_law
 from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
@@ -199,7 +200,7 @@ def answer(
     ``imagine`` gives trials that could be recorded next.
     """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
-    own, misfit = _checked(found, own, options, progress)
+    own, misfit, measured = _checked(found, own, options, progress)
     decision, share, otherwise = own, 0.0, None
     if other is not None:
         under_other = conclude(other, options)
@@ -213,7 +214,7 @@ def answer(
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:
         result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged))
-    result = account.with_more(result, misfit, progress, imagine)
+    result = account.with_more(result, misfit, measured, progress, imagine)
     if not share or other is None:
         return result
     theirs = _Account(other, under_other, settings).causes()
@@ -229,12 +230,38 @@ def answer(
 
 def _checked(
     found: Found, decision: Decision, options: DiagnosisSettings, progress: Callable[[str], None]
-) -> tuple[Decision, Misfit | None]:
-    """Return the decision once laws without a name compete where the named set leaves more than noise."""
-    if decision.chosen is None:
-        return decision, None
-    misfit = misfit_of(found, chosen(found.attribution, decision), options, progress)
-    return told_apart(misfit, found, decision, options)
+) -> tuple[Decision, Misfit | None, Measured | None]:
+    """Return the decision once laws without a name compete where more than noise is left.
+
+    First with the named set, then with sets that have such a law on top.
+    """
+    misfit = None
+    if decision.chosen is not None:
+        misfit = misfit_of(found, chosen(found.attribution, decision), options, progress)
+        decision, misfit = told_apart(misfit, found, decision, options)
+        measured = misfit.measured
+    elif decision.verdict == UNKNOWN:
+        measured = _measured(found, options, progress)
+    else:
+        return decision, None, None
+    if measured is None:
+        return decision, misfit, None
+    decision, layers = layered(found, decision, measured, options, progress)
+    if decision.chosen is not None:
+        misfit = with_law(misfit, layers, found, decision, options)
+    return decision, misfit, measured
+
+
+def _measured(found: Found, options: DiagnosisSettings, progress: Callable[[str], None]) -> Measured:
+    """Measure laws without a name, from the parameters of the named set that leaves least."""
+    search, plain = Search(found.pair, options["search"]), found.attribution.plain
+    start, free, searched = _nearest(found.attribution).base, options["free_form"], options["search"]
+    return measure(found.pair, plain, start, search, free, searched, progress)
+
+
+def _nearest(attribution: Attribution) -> Hypothesis:
+    """The named set, or the plain plant, that leaves least."""
+    return min([attribution.plain, *attribution.hypotheses], key=lambda h: sum(h.chi2))
 
 
 def _of_both_states(
@@ -434,6 +461,7 @@ class _Account:
         self,
         result: Diagnosis,
         misfit: Misfit | None,
+        measured: Measured | None,
         progress: Callable[[str], None],
         imagine: Imagine | None,
     ) -> Diagnosis:
@@ -447,10 +475,8 @@ class _Account:
             progress("none: from which size would effects have been seen?")
             seen = could_have_shown(self._pair, self._attribution.plain, options)
             return replace(result, beyond=Beyond(could_show=seen))
-        measured = misfit.measured if misfit is not None else None
         beyond = Beyond()
-        if decision.verdict == UNKNOWN:
-            measured = self._measured(progress) if measured is None else measured
+        if decision.verdict == UNKNOWN and measured is not None:
             law = self._shown(measured)
             if law is not None:
                 beyond = Beyond(free_form=self._free_form(measured, law))
@@ -468,17 +494,6 @@ class _Account:
             return replace(result, beyond=beyond)
         return replace(result, beyond=replace(beyond, proposed_trial=proposal), next_trial=told(proposal))
 
-    def _nearest(self) -> Hypothesis:
-        """The named set, or the plain plant, that leaves least."""
-        found = self._attribution
-        return min([found.plain, *found.hypotheses], key=lambda h: sum(h.chi2))
-
-    def _measured(self, progress: Callable[[str], None]) -> Measured:
-        options, plain = self._settings["diagnosis"], self._attribution.plain
-        search = Search(self._pair, options["search"])
-        start, free, searched = self._nearest().base, options["free_form"], options["search"]
-        return measure(self._pair, plain, start, search, free, searched, progress)
-
     def _shown(self, measured: Measured) -> Law | None:
         """The first law that closes enough of the gap on the held-out trial; None where none does."""
         least, n = self._settings["diagnosis"]["free_form"]["least_closed"], self._attribution.samples[1]
@@ -486,7 +501,7 @@ class _Account:
 
     def _free_form(self, measured: Measured, law: Law) -> dict[str, Any]:
         """Return what diagnosis.json says of a measured law."""
-        pair, nearest, n = self._pair, self._nearest(), self._attribution.samples[1]
+        pair, nearest, n = self._pair, _nearest(self._attribution), self._attribution.samples[1]
         closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
         others = [other for other in measured.laws if other is not law]
         about = describe(pair, law, others, measured.library)

@@ -97,6 +97,11 @@ def unexplained(
     return max(best - (1 + c["noise_share"]) * sum(samples), 0.0) / _gap(plain, samples)
 
 
+def _odds_of_unlisted(share: float, c: DiagnosisCalibrationSettings) -> float:
+    """Odds that something acts which explains more, where the best explanation leaves a ``share`` of the gap."""
+    return float((share / c["even_share"]) ** c["share_power"])
+
+
 def log_likelihood(difference: float, left: float, c: DiagnosisCalibrationSettings) -> float:
     """Logarithm of the likelihood ratio for a deviance that is larger by ``difference`` than the best one.
 
@@ -159,7 +164,7 @@ def logits(
     """
     noise = (1 + c["noise_share"]) * sum(samples)
     share = unexplained(plain, candidates, samples, c)
-    odds = (share / c["even_share"]) ** c["share_power"]
+    odds = _odds_of_unlisted(share, c)
 
     def gained(deviance: float) -> float:
         return -log_likelihood(max(plain.deviance - deviance, 0.0), 0.0, c)
@@ -216,6 +221,17 @@ def decide(
     probabilities |= _shares(plain, candidates, sets * (1 - doubt))
     probabilities[NONE] = float(p[-2])
     probabilities[UNKNOWN] = float(p[-1] + sets[unlisted].sum() + (sets * doubt)[~unlisted].sum())
+    return _judged(candidates, sets, probabilities, calibration)
+
+
+def _judged(
+    candidates: Sequence[Candidate],
+    sets: np.ndarray,
+    probabilities: dict[str, float],
+    calibration: DiagnosisCalibrationSettings,
+) -> Decision:
+    """Verdict and group by the probabilities of candidates, ``sets`` (candidates,), and of names."""
+    unlisted = np.array([candidate.unlisted for candidate in candidates], dtype=bool)
     effects = 1 - probabilities[NONE] - probabilities[UNKNOWN]
     together = [sets[[x.answer == other.answer for x in candidates]].sum() for other in candidates]
     # the likeliest effect, whatever is beside it; of the sets that hold it the likeliest effects, and of those the
@@ -232,6 +248,56 @@ def decide(
     verdict = max(names, key=lambda name: probabilities[name])
     group = _group(names, verdict, probabilities, calibration["ambiguity_probability"])
     return Decision(probabilities, sets, verdict, group, chosen)
+
+
+def with_layers(
+    decision: Decision,
+    candidates: Sequence[Candidate],
+    plain: Candidate,
+    layers: Mapping[int, Candidate],
+    alone: Sequence[Candidate],
+    samples: tuple[int, ...],
+    calibration: DiagnosisCalibrationSettings,
+) -> Decision:
+    """Share out the probability of `unknown` between laws without a name and listed sets with such a law beside them.
+
+    That more is left than listed effects explain says that something acts which is not listed. Whether a listed effect
+    acts too is told by evidence: of a set with a measured law on top, against measured laws without the set.
+
+    Parameters
+    ----------
+    decision, candidates
+        A decision, and what it was made of.
+    layers
+        By index of a listed set among the candidates: the same set with a measured law on top.
+    alone
+        Measured laws without a listed effect, the names those of their families.
+    samples
+        Residuals of each trial.
+    """
+    if not layers or not alone:
+        return decision
+    c, everything = calibration, [*layers.values(), *alone]
+    best = min(x.deviance for x in everything)
+    left = max(min(sum(x.chi2) for x in everything) - (1 + c["noise_share"]) * sum(samples), 0.0)
+    # the law on top stands beside the first effect of its set, as every further one does
+    further = [_further(candidates[i], c) + c["further_log_odds"] for i in layers]
+    further += [c["further_log_odds"] * (len(x.names) - 1) for x in alone]
+    rows = np.array(
+        [log_likelihood(x.deviance - best, left, c) - f for x, f in zip(everything, further, strict=True)]
+    )
+    # that many sets or laws compete is no reason to believe in one of them: the best of either counts
+    of_sets = np.exp(rows[: len(layers)] - rows.max())
+    listed = of_sets.max() / (of_sets.max() + float(np.exp(rows[len(layers) :].max() - rows.max())))
+    # and where even that leaves much, it is neither
+    listed /= 1 + _odds_of_unlisted(left / _gap(plain, samples), c)
+    doubt = c["ambiguous_share"] * np.array([candidates[i].ambiguous for i in layers])
+    moved = np.zeros(len(candidates))
+    moved[list(layers)] = decision.probabilities[UNKNOWN] * listed * (1 - doubt) * of_sets / of_sets.sum()
+    shares = _shares(plain, candidates, moved)
+    probabilities = {n: p + shares.get(n, 0.0) for n, p in decision.probabilities.items()}
+    probabilities[UNKNOWN] = decision.probabilities[UNKNOWN] - float(moved.sum())
+    return _judged(candidates, decision.sets + moved, probabilities, c)
 
 
 def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:

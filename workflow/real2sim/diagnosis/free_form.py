@@ -476,6 +476,12 @@ class Law:
         return sum(len(x) for x in self.coefficients)
 
     @property
+    def first_coefficients(self) -> np.ndarray:
+        """Coefficients (p,) of the first family, those of the fitted trial where each trial has its own."""
+        family, x = self.families[0], self.coefficients[0]
+        return x[: len(family.terms)] if isinstance(family, Family) else x
+
+    @property
     def coefficients(self) -> list[np.ndarray]:
         """Coefficients of each family, (p,)."""
         return self.hypothesis.split()[len(self.hypothesis.effects) - len(self.families) :]
@@ -576,20 +582,20 @@ class Measured:
         """The families that they are from."""
         return self._trial.library
 
-    def on_top(self, named: Hypothesis, promising: int, refits: int, share: float) -> Law | None:
+    def on_top(self, named: Hypothesis, options: DiagnosisFreeFormSettings, share: float) -> Law | None:
         """Return the family that explains most of what a named set leaves of both trials.
 
-        Tried are those on the axes of the set and the ``promising`` of the whole gap; the best ``refits`` are refitted
-        together with the set; ``share`` as of `search.grow_share`. None where none gains more evidence than the choice
-        among them costs.
+        Tried are those on the axes of the set and the promising ones of the whole gap; the best are refitted together
+        with the set; ``options`` is the slice ``diagnosis.free_form``, ``share`` as of `search.grow_share`. None where
+        no family gains more evidence than the choice among them costs.
         """
         trial = self._trial
         axes = {axis for placed in named.effects for axis in placed.axes}
-        good = {s.family.key for s in self.screened[:promising]}
+        good = {s.family.key for s in self.screened[: options["promising"]]}
         library = self.library.only([f for f in self.library.forces if axes & set(f.axes) or f.key in good])
         further = screen(slopes(trial.pair, library, named), library, named, trial.longest)
         alone = Law((), named, ln_evidence(trial.pair, named, trial.longest) - trial.origin)
-        tried = [trial.refitted((), s, named) for s in _diverse(further, refits)]
+        tried = [trial.refitted((), s, named) for s in _diverse(further, options["most"])]
         price = np.log(len(further)) if further else 0.0
         kept = [
             law
@@ -597,6 +603,15 @@ class Measured:
             if law.gain - alone.gain > price and _explains_more(alone, law, trial.search.samples, share)
         ]
         return max(kept, key=lambda law: law.gain, default=None)
+
+    def beside(self, named: Hypothesis, law: Law) -> Law | None:
+        """Return the families of a law refitted together with a named set; None where that cannot be simulated."""
+        trial = self._trial
+        effects = (*named.effects, *law.hypothesis.effects)
+        fitted = trial.search.fit(effects, np.concatenate([named.z, np.zeros(law.parameters)]))
+        if max(fitted.chi2) >= FAILED:
+            return None
+        return Law(law.families, fitted, ln_evidence(trial.pair, fitted, trial.longest) - trial.origin)
 
 
 def measure(

@@ -43,7 +43,7 @@ def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> d
     ``rivals`` are the other laws that were refitted, by falling evidence.
     """
     fitted = _fitted(pair, law)
-    told = [_least(one, library, pair) for one in fitted]
+    told = [least_family(one.family, one.coefficients, library, pair) for one in fitted]
     first = told[0]
     alike = [one for one in told if one["kind"] == first["kind"]]
     return {
@@ -124,13 +124,15 @@ def named_family(family: AnyFamily) -> dict[str, Any]:
     }
 
 
-def _least(fitted: _Fitted, library: Library, pair: Pair) -> dict[str, Any]:
-    """Return what is said of a family: the simpler kind that it holds where that carries 95 % of it.
+def least_family(
+    family: AnyFamily, coefficients: np.ndarray, library: Library, pair: Pair, enough: float = _ENOUGH
+) -> dict[str, Any]:
+    """Return what is said of a family: the simpler kind that it holds where that carries ``enough`` of it, 95 %.
 
     A potential of two coordinates may be two springs, and a damping by the coordinate one by the rate alone. Counted is
     what stiffness and damping of the axes cannot do.
     """
-    about, family = named_family(fitted.family), fitted.family
+    about = named_family(family)
     if not isinstance(family, Family) or family.kind not in _SIMPLER:
         return about
     kind, context = _SIMPLER[family.kind], pair.train.context
@@ -140,15 +142,15 @@ def _least(fitted: _Fitted, library: Library, pair: Pair) -> dict[str, Any]:
         joint = simple[axis].terms[0][0].joint
         rows = [[t for t in row if t.joint == joint] for row in family.terms]
         parts = np.array([library.signals(row, context).sum(axis=0) for row in rows])
-        force = (fitted.coefficients @ parts)[:, None]
+        force = (coefficients @ parts)[:, None]
         plain = library.signals([times(joint, {f"{x}_{axis}": 1}) for x in "qv"], context)
         signals = library.signals([t for row in simple[axis].terms for t in row], context)
         rest, left = (_without(force, by) for by in (plain, np.vstack([plain, signals])))
         forces[axis] = float(rest @ rest), float(left @ left)
     total = sum(rest for rest, _ in forces.values())
-    own = [axis for axis, (rest, _) in forces.items() if rest >= (1 - _ENOUGH) * total]
+    own = [axis for axis, (rest, _) in forces.items() if rest >= (1 - enough) * total]
     missed = sum(left if axis in own else rest for axis, (rest, left) in forces.items())
-    if missed > (1 - _ENOUGH) * total:
+    if missed > (1 - enough) * total:
         return about
     names = [simple[axis].depends_on[0] for axis in own]
     return about | {"kind": kind, "axes": own, "depends_on": names}

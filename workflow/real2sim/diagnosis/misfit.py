@@ -17,12 +17,13 @@ import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Decision, decide
-from real2sim.diagnosis.free_form import AnyFamily, Law, Measured, measure
+from real2sim.diagnosis.free_form import Law, Measured, measure
+from real2sim.diagnosis.kin import is_kin_of
 from real2sim.diagnosis.law import named_family, size
+from real2sim.diagnosis.layers import Layers
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Found, candidates_of
-from real2sim.effects.catalogue import EFFECTS, Effect, are_confusable
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisSettings
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Chi-squared that a named set leaves, and the laws that could explain it.
+    """Chi-squared that a named set, ``key``, leaves, and the laws that could explain it.
 
     ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
     ``share``: of what the plain plant leaves beyond noise, on both trials. ``measured`` are the laws without a name,
@@ -38,6 +39,7 @@ class Misfit:
     ``rival`` is the probability of the first of the measured laws, None where it does not compete.
     """
 
+    key: str
     sd: tuple[float, float]
     share: float
     marked: bool
@@ -66,16 +68,15 @@ def misfit_of(
     ``options`` is the slice ``diagnosis`` of the configuration.
     """
     search, plain = Search(found.pair, options["search"]), found.attribution.plain
-    total = sum(search.samples)
-    share = (sum(named.chi2) - total) / max(sum(plain.chi2) - total, float(np.sqrt(2 * total)))
-    sd = search.excess_of_trials(named)
+    left = _left(found, named, options)
+    sd = left.sd
     if search.is_noise(named):
-        return Misfit(sd, share, marked=False)
+        return left
     progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: is its form right?")
     measured = measure(
         found.pair, plain, named.base, search, options["free_form"], options["search"], progress
     )
-    return Misfit(sd, share, marked=True, measured=measured)
+    return replace(left, marked=True, measured=measured)
 
 
 def told_apart(
@@ -89,7 +90,7 @@ def told_apart(
     if misfit.measured is None or not misfit.measured.laws:
         return decision, misfit
     measured, law = misfit.measured, misfit.measured.laws[0]
-    if not is_kin(law, named):
+    if not is_kin_of(law, named, measured.library, found.pair):
         plain, sets = candidates_of(found, options)
         rival = found.candidate(law.hypothesis, options, [f.key for f in law.families])
         with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])
@@ -97,33 +98,31 @@ def told_apart(
         decision = replace(with_rival, sets=with_rival.sets[:-1])
         if decision.chosen is None:
             return decision, misfit
-    free = options["free_form"]
-    share = options["search"]["grow_share"]
-    beside = measured.on_top(named, free["promising"], free["most"], share)
-    return decision, replace(misfit, law=beside)
+    return decision, misfit
 
 
-def is_kin(law: Law, named: Hypothesis) -> bool:
-    """Return whether the first family of a law has the kind, stage and an axis of one of the named effects.
+def with_law(
+    misfit: Misfit | None, layers: Layers, found: Found, decision: Decision, options: DiagnosisSettings
+) -> Misfit:
+    """Return the misfit of the named set with the law that tells what is left beside it.
 
-    Or of an effect of another stage that it cannot be told from: what comes in by the measurement looks like a force.
+    ``misfit`` is that of the set that was named before, if any: one may be named for what it explains beside a law.
     """
-    family = law.families[0]
-    return any(
-        _holds(family, e) and (not p.axes or not family.axes or bool(set(p.axes) & set(family.axes)))
-        for p in named.effects
-        for e in (p.effect, *_alike_elsewhere(p.effect))
-    )
+    named, index = chosen(found.attribution, decision), decision.chosen
+    if misfit is None or misfit.key != named.key:
+        misfit = replace(_left(found, named, options), marked=True, measured=layers.measured)
+    if index in layers.beside:
+        return replace(misfit, law=layers.beside[index])
+    share = options["search"]["grow_share"]
+    return replace(misfit, law=layers.measured.on_top(named, options["free_form"], share))
 
 
-def _holds(family: AnyFamily, effect: Effect) -> bool:
-    """Whether an effect is a special case of a family."""
-    return family.name in effect.kinds or (family.stage == effect.stage and family.kind in effect.kinds)
-
-
-def _alike_elsewhere(effect: Effect) -> list[Effect]:
-    """Effects of another stage that take the place of an effect in a fit."""
-    return [e for e in EFFECTS if e.stage != effect.stage and are_confusable(e.name, effect.name)]
+def _left(found: Found, named: Hypothesis, options: DiagnosisSettings) -> Misfit:
+    """What a named set leaves, not marked yet."""
+    search, plain = Search(found.pair, options["search"]), found.attribution.plain
+    total = sum(search.samples)
+    share = (sum(named.chi2) - total) / max(sum(plain.chi2) - total, float(np.sqrt(2 * total)))
+    return Misfit(named.key, search.excess_of_trials(named), share, marked=False)
 
 
 def chosen(attribution: Attribution, decision: Decision) -> Hypothesis:

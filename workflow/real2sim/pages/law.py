@@ -90,9 +90,10 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
     if misfit is None or not misfit["marked"]:
         return ""
     fitted, held_out = (rounded(x, 2) for x in misfit["left_sd"])
+    closed = f"{100 * (1 - misfit['left_share']):.3g}"
     text = (
-        f"The form is not right: with what is named, {fitted} (fitted trial) and {held_out} (held-out trial) standard "
-        "deviations of noise are left"
+        f"What is named closes {closed} % of the gap, and is not all: {fitted} (fitted trial) and {held_out} (held-out "
+        "trial) standard deviations of noise are left"
     )
     law = misfit["law"]
     if law is None:

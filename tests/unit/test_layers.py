@@ -1,0 +1,57 @@
+"""A listed effect that acts beside something unlisted is named; one that only imitates it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from real2sim.diagnosis.decide import UNKNOWN, Candidate, decide, with_layers
+
+from tests.unit.test_coupling import CONFIG
+
+SAMPLES = (1000, 1000)
+PLAIN = Candidate((), (50_000.0, 50_000.0))
+COULOMB = Candidate(("coulomb",), (6_000.0, 8_000.0))
+
+
+@pytest.fixture(name="constants")
+def _constants():
+    return CONFIG["diagnosis"]["calibration"]
+
+
+def _after(constants, on_top: float, alone: float, sets=(COULOMB,)):
+    decision = decide(PLAIN, list(sets), SAMPLES, constants)
+    assert decision.verdict == UNKNOWN
+    layer = Candidate(sets[0].names, (on_top / 2, on_top / 2))
+    law = Candidate(("damping by coordinate",), (alone / 2, alone / 2), unlisted=True)
+    return with_layers(decision, list(sets), PLAIN, {0: layer}, [law], SAMPLES, constants)
+
+
+def test_an_effect_that_a_law_alone_cannot_replace_is_named(constants):
+    decision = _after(constants, on_top=2_300.0, alone=9_000.0)
+    assert decision.verdict == "coulomb"
+    assert decision.probabilities["coulomb"] > 0.9
+    assert sum(decision.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_an_effect_that_a_law_alone_replaces_stays_unknown(constants):
+    decision = _after(constants, on_top=2_300.0, alone=2_300.0)
+    before = decide(PLAIN, [COULOMB], SAMPLES, constants).probabilities["coulomb"]
+    assert decision.verdict == UNKNOWN
+    assert before <= decision.probabilities["coulomb"] < before + 0.01
+
+
+def test_where_even_both_together_leave_much_it_is_neither(constants):
+    decision = _after(constants, on_top=30_000.0, alone=45_000.0)
+    assert decision.verdict == UNKNOWN
+
+
+def test_a_form_that_stands_for_unlisted_laws_keeps_its_doubt(constants):
+    doubtful = Candidate(("relaxation",), COULOMB.chi2, ambiguous=True)
+    decision = _after(constants, on_top=2_300.0, alone=9_000.0, sets=(doubtful,))
+    assert decision.probabilities[UNKNOWN] >= 0.9 * constants["ambiguous_share"]
+
+
+def test_nothing_changes_without_a_law_on_top(constants):
+    decision = decide(PLAIN, [COULOMB], SAMPLES, constants)
+    assert with_layers(decision, [COULOMB], PLAIN, {}, [], SAMPLES, constants) is decision
+    assert np.isclose(sum(decision.probabilities.values()), 1.0)

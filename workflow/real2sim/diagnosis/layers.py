@@ -1,0 +1,93 @@
+"""Does a listed effect act beside something that is not listed?
+
+Real machines have several layers: friction that a name fits, and below it a force that depends on the place, on the
+temperature, on nothing that a catalogue holds. That the best set leaves much says only that something is not listed.
+Whether its effects act too is asked here: a measured law is fitted on top of the set, and both together are compared
+with measured laws alone, by their evidence on all trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from real2sim.diagnosis.decide import UNKNOWN, Candidate, Decision, with_layers
+from real2sim.diagnosis.free_form import Law, Measured
+from real2sim.diagnosis.kin import is_kin_of
+from real2sim.diagnosis.trials import Found, candidates_of
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Measured laws of a gap: ``measured`` alone, and ``beside`` a listed set, by its index among the hypotheses."""
+
+    measured: Measured
+    beside: dict[int, Law] = field(default_factory=dict)
+
+
+def layered(
+    found: Found,
+    decision: Decision,
+    measured: Measured,
+    options: DiagnosisSettings,
+    progress: Callable[[str], None],
+) -> tuple[Decision, Layers]:
+    """Return the decision once listed sets with a measured law on top compete with measured laws alone.
+
+    ``options`` is the slice ``diagnosis`` of the configuration. Nothing is asked where `unknown` is out of the question
+    or no law was measured.
+    """
+    if decision.probabilities[UNKNOWN] < options["search"]["questionable_probability"] or not measured.laws:
+        return decision, Layers(measured)
+    plain, sets = candidates_of(found, options)
+    share = options["search"]["grow_share"]
+    beside: dict[int, Law] = {}
+    on_top: dict[int, Candidate] = {}
+    for index in _worth_a_layer(found, decision, options):
+        own = found.attribution.hypotheses[index]
+        # the best law alone is also tried beside the set: what the set adds to it is asked of nothing else
+        tried = [
+            law
+            for law in (
+                measured.on_top(own, options["free_form"], share),
+                measured.beside(own, measured.laws[0]),
+            )
+            if law is not None
+        ]
+        told = [found.candidate(law.hypothesis, options, sets[index].names) for law in tried]
+        if tried:
+            best = min(range(len(tried)), key=lambda i: told[i].deviance)
+            beside[index], on_top[index] = tried[best], told[best]
+            kind = tried[best].families[0].kind
+            progress(f"{own.key} with a {kind} law on top: deviance {told[best].deviance:.0f}")
+    # where a set is named, a law of its kind does not speak against it
+    named = None if decision.chosen is None else found.attribution.hypotheses[decision.chosen]
+    alone = [
+        found.candidate(law.hypothesis, options, [f.key for f in law.families])
+        for law in measured.laws
+        if named is None or not is_kin_of(law, named, measured.library, found.pair)
+    ]
+    decision = with_layers(decision, sets, plain, on_top, alone, found.samples, options["calibration"])
+    return decision, Layers(measured, beside)
+
+
+def _worth_a_layer(found: Found, decision: Decision, options: DiagnosisSettings) -> list[int]:
+    """Indices of the sets that a law is fitted on top of: the named one, else the likeliest of all and of one effect.
+
+    Only sets that explain a share of the gap themselves (``search.grow_share``).
+    """
+    attribution, count = found.attribution, sum(found.attribution.samples)
+    if decision.chosen is not None:
+        return [decision.chosen]
+    gap = sum(attribution.plain.chi2) - count
+    share = options["search"]["grow_share"]
+    order = sorted(
+        (i for i, h in enumerate(attribution.hypotheses) if sum(h.chi2) - count < (1 - share) * gap),
+        key=lambda i: sum(attribution.hypotheses[i].chi2) + attribution.hypotheses[i].occam,
+    )
+    single = [i for i in order if len(attribution.hypotheses[i].effects) == 1]
+    return list(dict.fromkeys([*order[:1], *single[:1]]))

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from real2sim.diagnosis.decide import UNKNOWN, Candidate, Decision, with_layers
 from real2sim.diagnosis.free_form import Law, Measured
 from real2sim.diagnosis.kin import is_kin_of
@@ -45,9 +47,20 @@ def layered(
         return decision, Layers(measured)
     plain, sets = candidates_of(found, options)
     share = options["search"]["grow_share"]
+    # where a set is named, a law of its kind does not speak against it
+    named = None if decision.chosen is None else found.attribution.hypotheses[decision.chosen]
+    alone = [
+        found.candidate(law.hypothesis, options, [f.key for f in law.families])
+        for law in measured.laws
+        if named is None or not is_kin_of(law, named, measured.library, found.pair)
+    ]
+    # the first layer is what explains most by itself: a set that one law does better than only mends that law
+    single = min((x.deviance for x in alone if len(x.names) == 1), default=np.inf)
     beside: dict[int, Law] = {}
     on_top: dict[int, Candidate] = {}
     for index in _worth_a_layer(found, decision, options):
+        if sets[index].deviance > single:
+            continue
         own = found.attribution.hypotheses[index]
         # the best law alone is also tried beside the set: what the set adds to it is asked of nothing else
         tried = [
@@ -64,13 +77,6 @@ def layered(
             beside[index], on_top[index] = tried[best], told[best]
             kind = tried[best].families[0].kind
             progress(f"{own.key} with a {kind} law on top: deviance {told[best].deviance:.0f}")
-    # where a set is named, a law of its kind does not speak against it
-    named = None if decision.chosen is None else found.attribution.hypotheses[decision.chosen]
-    alone = [
-        found.candidate(law.hypothesis, options, [f.key for f in law.families])
-        for law in measured.laws
-        if named is None or not is_kin_of(law, named, measured.library, found.pair)
-    ]
     decision = with_layers(decision, sets, plain, on_top, alone, found.samples, options["calibration"])
     return decision, Layers(measured, beside)
 

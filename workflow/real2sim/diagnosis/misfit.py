@@ -82,7 +82,7 @@ def misfit_of(
 def told_apart(
     misfit: Misfit, found: Found, decision: Decision, options: DiagnosisSettings
 ) -> tuple[Decision, Misfit]:
-    """Return the decision with the measured law among the candidates, and the misfit with the law beside the set.
+    """Return the decision with the measured law among the candidates, and the misfit with that law's probability.
 
     A law of the kind and place of a named effect does not compete: it is that effect with another equation.
     """
@@ -96,8 +96,6 @@ def told_apart(
         with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])
         misfit = replace(misfit, rival=float(with_rival.sets[-1]))
         decision = replace(with_rival, sets=with_rival.sets[:-1])
-        if decision.chosen is None:
-            return decision, misfit
     return decision, misfit
 
 

@@ -37,7 +37,7 @@ class Machine:
 
     @property
     def origin(self) -> str:
-        """Where the files come from, in words."""
+        """Source of the files, in words."""
         source = self.content["source"]
         return f"{source['data']}. From: {source['where']}. Licence: {source['licence']}."
 
@@ -89,21 +89,11 @@ class Machine:
             return self.system.trusting(first.scatter_to(self.recording(again)))
         return self.system.trusting(first.scatter_of_repeats(again))
 
-    def ask(
-        self,
-        question: str,
-        settings: Mapping[str, Any] | None = None,
-        tables: Mapping[str, pd.DataFrame] | None = None,
-    ) -> r2s.Diagnosis:
-        """Diagnose the two records of a question; ``tables`` are taken in place of records of that name."""
-        q, system = self.content["questions"][question], self.trusting(question)
-        train, held_out = (
-            r2s.Recording.from_table(system, (tables or {}).get(name, None), name)
-            if name in (tables or {})
-            else self.recording(name)
-            for name in (q["train"], q["held_out"])
-        )
-        return r2s.diagnose(system, train=train, held_out=held_out, settings=settings)
+    def ask(self, question: str, settings: Mapping[str, Any] | None = None) -> r2s.Diagnosis:
+        """Diagnose the two records of a question; ``settings`` as of `real2sim.diagnose`."""
+        asked = self.content["questions"][question]
+        train, held_out = (self.recording(asked[part]) for part in ("train", "held_out"))
+        return r2s.diagnose(self.trusting(question), train=train, held_out=held_out, settings=settings)
 
 
 def closed(answer: r2s.Diagnosis) -> float:

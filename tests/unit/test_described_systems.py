@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -82,6 +83,24 @@ def test_replay_of_an_imposed_path_leaves_noise_alone_up_to_the_end_of_a_record(
     left = evidence.replay((), 1).run_effects(values, ())[0][0] - evidence.measured.observed
     assert np.std(left[-60:]) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.2)
     assert np.std(left) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.1)
+
+
+def test_the_zero_of_a_sensor_may_differ_and_nothing_else(tmp_path):
+    """A force sensor that is off by two of its SD leaves next to nothing; a force that swings as much is left."""
+    fixed = r2s.System.from_yaml(shipped("bouc_wen") / "system.yaml")
+    free = replace(fixed, outputs=(replace(fixed.outputs[0], zero_sd=5.0),))
+    one_axis.simulate_bouc_wen(None, 0.0, 1, tmp_path, 2.0)
+    settings = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
+    values = np.array([one_axis.BOUC_WEN["stiffness"], one_axis.BOUC_WEN["damping"]])
+    left = {}
+    for name, system in (("fixed", fixed), ("free", free)):
+        recording = r2s.Recording.read(system, tmp_path / "train.parquet")
+        evidence = DescribedTrial(system, recording, None, settings).evidence().with_noise(values, 20, 1)
+        offset = np.full((1, len(recording.time_s), 1), 10.0)
+        swinging = offset * np.sin(2 * np.pi * recording.time_s)[None, :, None]
+        left[name] = [float(np.sum(evidence.whiten(error) ** 2)) for error in (offset, swinging)]
+    assert left["free"][0] < 20 < 1000 < left["fixed"][0]
+    assert left["free"][1] > 0.9 * left["fixed"][1]
 
 
 @pytest.mark.parametrize(("name", "places"), [("cuff", 7), ("drba", 3)])

@@ -680,6 +680,7 @@ DiagnosisFreeFormSettings = TypedDict(
         "most": int,
         "promising": int,
         "least_closed": float,
+        "main_share": float,
     },
 )
 

@@ -323,7 +323,9 @@ class DescribedTrial:
         """Mean force (nstep, c) over a step about each of ``steps`` (nstep,) [s]: rates live half a step late."""
         time_s = self._recording.time_s
         if not self._system.drive.held:
-            return signals.upsampled(columns, round(self._recording.step_s / h))[: len(steps)]
+            return signals.upsampled(signals.bridged(columns), round(self._recording.step_s / h))[
+                : len(steps)
+            ]
         edges = np.append(time_s, time_s[-1] + self._recording.step_s)
         out = []
         for column in columns.T:

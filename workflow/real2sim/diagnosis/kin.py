@@ -11,17 +11,15 @@ from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import EFFECTS, Effect, are_confusable
 
-# What a simpler kind has to carry of a law's mean square for the law to be of that kind in the main [1]
-_MOST = 0.5
 
-
-def is_kin_of(law: Law, named: Hypothesis, library: Library, pair: Pair) -> bool:
+def is_kin_of(law: Law, named: Hypothesis, library: Library, pair: Pair, main_share: float) -> bool:
     """Return whether a law is a named effect with another equation, by the kind that it has in the main.
 
-    A damping that depends on the place too, most of which the rate alone tells, is of the kind of dry friction.
+    A damping that depends on the place too, most of which the rate alone tells, is of the kind of dry friction;
+    ``main_share`` is `diagnosis.free_form.main_share`.
     """
     family, x = law.families[0], law.first_coefficients
-    return is_kin(law, named, least_family(family, x, library, pair, _MOST))
+    return is_kin(law, named, least_family(family, x, library, pair, main_share))
 
 
 def is_kin(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -> bool:

@@ -46,13 +46,13 @@ def layered(
     if decision.probabilities[UNKNOWN] < options["search"]["questionable_probability"] or not measured.laws:
         return decision, Layers(measured)
     plain, sets = candidates_of(found, options)
-    share = options["search"]["grow_share"]
+    share, main_share = options["search"]["grow_share"], options["free_form"]["main_share"]
     # where a set is named, a law of its kind does not speak against it
     named = None if decision.chosen is None else found.attribution.hypotheses[decision.chosen]
     alone = [
         found.candidate(law.hypothesis, options, [f.key for f in law.families])
         for law in measured.laws
-        if named is None or not is_kin_of(law, named, measured.library, found.pair)
+        if named is None or not is_kin_of(law, named, measured.library, found.pair, main_share)
     ]
     # the first layer is what explains most by itself: a set that one law does better than only mends that law
     single = min((x.deviance for x in alone if len(x.names) == 1), default=np.inf)

@@ -90,7 +90,8 @@ def told_apart(
     if misfit.measured is None or not misfit.measured.laws:
         return decision, misfit
     measured, law = misfit.measured, misfit.measured.laws[0]
-    if not is_kin_of(law, named, measured.library, found.pair):
+    main_share = options["free_form"]["main_share"]
+    if not is_kin_of(law, named, measured.library, found.pair, main_share):
         plain, sets = candidates_of(found, options)
         rival = found.candidate(law.hypothesis, options, [f.key for f in law.families])
         with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])

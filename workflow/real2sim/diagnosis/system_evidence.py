@@ -63,7 +63,7 @@ Draw = Callable[[int, int, int], np.ndarray]
 
 @dataclass(frozen=True)
 class Simulated:
-    """How a trial is simulated: ``setup`` by the number of parts of a time step, and ``draw`` of a shaken drive.
+    """Simulation of a trial: ``setup`` by the number of parts of a time step, and ``draw`` of a shaken drive.
 
     ``draw`` maps (seed, number, parts) to a command (nstep, c); ``shaken`` is whether the drive has noise at all.
     """
@@ -316,7 +316,7 @@ class SystemEvidence:
 
     @property
     def noise_source(self) -> str:
-        """Where the noise floor comes from, in words."""
+        """Source of the noise floor, in words."""
         return "white noise of the channels, simulated through the plant"
 
     @property
@@ -348,7 +348,7 @@ class SystemEvidence:
         return _shares(dict(zip(self.system.axis_names, excess.tolist(), strict=True)))
 
     def locate(self, paths: np.ndarray, explained: np.ndarray | None) -> dict[str, Any]:
-        """How the gap of simulated observations (n, c) is spread over channels, time, frequency and regime."""
+        """Spread of the gap of simulated observations (n, c) over channels, time, frequency and regime."""
         c = self.measured.observed.shape[1]
         error = np.nan_to_num(paths - self.measured.observed) / self.cost.scale
         noise = self.noise[:, :, :c] / self.cost.scale

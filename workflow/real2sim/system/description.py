@@ -65,7 +65,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Drive:
-    """What sets a replay in motion: the pose of a segment, the path of joints, or forces on joints.
+    """Source of motion of a replay: the pose of a segment, the path of joints, or forces on joints.
 
     ``columns`` maps joints of the model to the columns of a recording that hold their path or force. ``held``: a force
     keeps its value from each sample to the next, as a command does, and is not a signal that was sampled.

@@ -32,6 +32,13 @@ def test_a_line_above_the_band_is_not_taken_for_noise():
     assert moving_sd(values, RATE_HZ, 200.0)[0] == pytest.approx(1e-3, rel=0.2)
 
 
+def test_jumps_are_not_taken_for_noise():
+    values = np.sin(2 * np.pi * np.arange(4000) / RATE_HZ)[:, None]
+    values += 1e-3 * np.random.default_rng(2).standard_normal(values.shape)
+    values[np.random.default_rng(3).choice(4000, 80, replace=False)] += 5.0
+    assert moving_sd(values, RATE_HZ, 20.0)[0] == pytest.approx(1e-3, rel=0.3)
+
+
 def test_without_room_above_the_band_third_differences_tell_the_noise():
     values = 1e-3 * np.random.default_rng(0).standard_normal((2000, 2))
     assert moving_sd(values, 100.0, 45.0) == pytest.approx(white_sd(values))

@@ -63,7 +63,7 @@ def plot_traces(columns: Mapping[str, np.ndarray], title: str, path: Path | str 
 def _readable(columns: Mapping[str, np.ndarray], channel: str) -> slice:
     """Return the samples to draw: all, or as many swings as can be told apart, where the gap is largest."""
     measured = columns[f"measured_{channel}"]
-    crossings = np.count_nonzero(np.diff(measured > np.nanmean(measured)))
+    crossings = int(np.count_nonzero(np.diff(measured > np.nanmean(measured))))
     if crossings <= 2 * MOST_SWINGS:
         return slice(None)
     count = max(2, len(measured) * 2 * MOST_SWINGS // crossings)

@@ -29,8 +29,9 @@ def white_sd(values: np.ndarray) -> np.ndarray:
 def moving_sd(values: np.ndarray, rate_hz: float, band_hz: float) -> np.ndarray:
     """Return the SD (c,) of white noise of series (n, c) that move, up to ``band_hz``.
 
-    It is read off the spectrum above the band, by the median, so that a few lines do not count. Where the sample rate
-    leaves too little above the band, third differences tell it (`white_sd`), to which a fast motion adds.
+    It is read off the spectrum above the band, by the median, so that a few lines do not count, and off third
+    differences (`white_sd`). Jumps add to the one and a fast motion to the other, so the smaller is taken. Where the
+    sample rate leaves too little above the band, third differences alone tell it.
     """
     frequencies = np.fft.rfftfreq(len(values), 1 / rate_hz)
     above = frequencies > _MARGIN * band_hz
@@ -41,7 +42,8 @@ def moving_sd(values: np.ndarray, rate_hz: float, band_hz: float) -> np.ndarray:
     known = signals.bridged(values)
     power = np.abs(np.fft.rfft((known - known.mean(axis=0)) * window, axis=0)) ** 2 / np.sum(window**2)
     # the power at one frequency is exponentially distributed about the level
-    return np.asarray(np.sqrt(np.median(power[above], axis=0) / np.log(2)))
+    level = np.sqrt(np.median(power[above], axis=0) / np.log(2))
+    return np.asarray(np.minimum(level, white_sd(values)))
 
 
 def repeats(values: np.ndarray, samples: float, first: int = 0) -> np.ndarray:

@@ -44,6 +44,9 @@ def _diagnosed(name: str, effect: str | None, folder: Path, duration_s: float) -
         ("emps", None, 4.0, ("none",)),
         ("bouc_wen", "hysteresis", 2.0, ("hysteresis",)),
         ("bouc_wen", None, 2.0, ("none",)),
+        # two milliseconds and 150 Hz: delays and filters are searched at the pace of the system, not of a person
+        ("bouc_wen", "sync_offset", 2.0, ("sync_offset",)),
+        ("bouc_wen", "filter_lag", 2.0, ("filter_lag",)),
     ],
 )
 def test_nonlinearity_is_named_and_nothing_where_there_is_none(name, effect, duration_s, verdicts, tmp_path):
@@ -83,6 +86,23 @@ def test_replay_of_an_imposed_path_leaves_noise_alone_up_to_the_end_of_a_record(
     left = evidence.replay((), 1).run_effects(values, ())[0][0] - evidence.measured.observed
     assert np.std(left[-60:]) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.2)
     assert np.std(left) == pytest.approx(one_axis.BOUC_WEN_FORCE_NOISE_N, rel=0.1)
+
+
+def test_jumps_are_faster_than_the_system_and_a_large_swing_is_none(tmp_path):
+    system = r2s.System.from_yaml(shipped("bouc_wen") / "system.yaml")
+    one_axis.simulate_bouc_wen(None, 0.0, 1, tmp_path, 2.0)
+    settings = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
+    recording = r2s.Recording.read(system, tmp_path / "train.parquet")
+    evidence = DescribedTrial(system, recording, None, settings).evidence()
+    n, sd = len(recording.time_s), evidence.measured.observed_sd[0]
+    error = sd * np.random.default_rng(1).standard_normal((n, 1))
+    assert evidence.with_spikes(evidence.measured.observed + error) is evidence
+    swing = 40 * sd * np.exp(-(((recording.time_s - 1.0) / 0.05) ** 2))[:, None]
+    assert evidence.with_spikes(evidence.measured.observed + error + swing) is evidence
+    jumped = error.copy()
+    jumped[300:303] += 40 * sd
+    found = evidence.with_spikes(evidence.measured.observed + jumped).context.spikes
+    assert np.flatnonzero(found[:, 0]).tolist() == [300, 301, 302]
 
 
 def test_the_zero_of_a_sensor_may_differ_and_nothing_else(tmp_path):

@@ -321,8 +321,8 @@ def test_an_effect_has_places_only_where_a_system_offers_what_it_needs():
     system = one_axis()
     assert system.offers == {"force", "interface_body"}
     names = {effect.name for effect in SHIPPED if effect.places(system)}
-    assert {"slack", "coulomb", "added_mass", "preload", "sync_offset", "filter_lag"} <= names
-    assert not names & {"base_compliance", "tilt", "lab_yaw", "misalignment", "soft_tissue", "outliers"}
+    assert {"slack", "coulomb", "added_mass", "preload", "sync_offset", "filter_lag", "outliers"} <= names
+    assert not names & {"base_compliance", "tilt", "lab_yaw", "misalignment", "soft_tissue", "marker_drift"}
     couplings = [effect for effect in SHIPPED if effect.scope == "pair"]
     assert couplings
     assert not any(effect.places(system) for effect in couplings)

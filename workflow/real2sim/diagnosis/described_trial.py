@@ -36,6 +36,8 @@ _ORDER = 4
 # Degree of the spline that a driven joint follows: the drive needs its acceleration
 _DEGREE = 5
 _TINY = 1e-12
+# Band and rate of a person's recording, at whose pace delays and filters are described [Hz]
+_BAND_HZ, _RATE_HZ = 10.0, 100.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,14 @@ class DescribedTrial:
 
     def _lowpass(self, values: np.ndarray) -> np.ndarray:
         return signals.lowpass(signals.bridged(values), self._rate, self._cutoff, _ORDER)
+
+    @property
+    def _pace(self) -> float:
+        """Times faster than a person's recording, whose band ends at 10 Hz and whose rate is 100 Hz.
+
+        Both limit it: no filter can be seen whose cut-off lies above half of the rate.
+        """
+        return min(self._system.band_hz / _BAND_HZ, self._rate / _RATE_HZ)
 
     # ---------------------------------------------------------------- start and coordinates
 
@@ -396,7 +406,7 @@ class DescribedTrial:
         measured = self._measured()
         q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))
-        scales = Scales(_large(q), _large(v), ones, ones, ones)
+        scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace)
         context = self._context(measured, q, v)
         return SystemEvidence(
             measured, simulated, context, scales, self._settings, self._starts_in_equilibrium

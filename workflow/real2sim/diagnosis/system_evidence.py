@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 from scipy.fft import dct
+from scipy.ndimage import label
 
+from real2sim import signals
 from real2sim.diagnosis.channel_cost import ChannelCost
 from real2sim.diagnosis.whitening import Bands, Whitening
 from real2sim.effects.base import Placed, Scales
@@ -204,7 +206,7 @@ class SystemEvidence:
         force = self._typical_force(replay)
         k = np.maximum(impedance.k[0], force / self.scales.q)
         d = np.maximum(impedance.d[0], 0.05 * k * self.scales.q / self.scales.v)
-        return replace(self, scales=Scales(self.scales.q, self.scales.v, k, d, inertia))
+        return replace(self, scales=replace(self.scales, k=k, d=d, inertia=inertia))
 
     def _typical_force(self, replay: SystemReplay) -> np.ndarray:
         """Large force (axes,) on each axis, imposed or measured where the motion is imposed; 0 where there is none."""
@@ -306,13 +308,25 @@ class SystemEvidence:
 
     def with_spikes(self, paths: np.ndarray) -> SystemEvidence:
         """The same trial with samples marked where observations jump out of simulated ones (n, c); self for none."""
-        error = paths - self.measured.observed
-        usual = np.nanmedian(np.abs(error - np.nanmedian(error, axis=0)), axis=0) / 0.6745
-        limit = self.settings["spike_sd"] * np.hypot(usual, self.measured.observed_sd)
-        found = (np.abs(error) > limit) | self.context.spikes
+        found = self._jumps(paths - self.measured.observed) | self.context.spikes
         if not (found & ~self.context.spikes).any():
             return self
         return replace(self, context=replace(self.context, spikes=found))
+
+    def _jumps(self, error: np.ndarray) -> np.ndarray:
+        """Return where residuals (n, c) stand out, in stretches that hold something faster than the system moves."""
+        whole = signals.bridged(error)
+        fast = whole - signals.lowpass(whole, self.rate_hz, min(self.system.band_hz, 0.4 * self.rate_hz), 4)
+        out, sudden = (self._stands_out(values) & np.isfinite(error) for values in (whole, fast))
+        for c in range(error.shape[1]):
+            stretch, _ = label(out[:, c])
+            out[:, c] = np.isin(stretch, np.unique(stretch[sudden[:, c] & out[:, c]])) & out[:, c]
+        return np.asarray(out)
+
+    def _stands_out(self, values: np.ndarray) -> np.ndarray:
+        usual = np.median(np.abs(values - np.median(values, axis=0)), axis=0) / 0.6745
+        limit = self.settings["spike_sd"] * np.hypot(usual, self.measured.observed_sd)
+        return np.asarray(np.abs(values) > limit)
 
     @property
     def noise_source(self) -> str:

@@ -30,7 +30,9 @@ class Scales:
     """Units of the effects' parameters for one person, one entry per axis of the interface.
 
     ``q``, ``v`` (n,) are large excursions and rates [m, rad; m/s, rad/s], ``k``, ``d`` (n,) stiffness and damping of
-    the plain fit, ``inertia`` (n,) the inertia of the machine against each axis [kg, kg m^2].
+    the plain fit, ``inertia`` (n,) the inertia of the machine against each axis [kg, kg m^2]. ``pace`` is how many
+    times faster the system moves than a person in a strap, whose band ends at 10 Hz: delays and filters are searched
+    in seconds divided, and hertz multiplied, by it.
     """
 
     q: np.ndarray
@@ -38,6 +40,7 @@ class Scales:
     k: np.ndarray
     d: np.ndarray
     inertia: np.ndarray
+    pace: float = 1.0
 
     @property
     def force(self) -> np.ndarray:
@@ -440,6 +443,16 @@ class Placed:
             )
             out[f"{parameter.name}{place}{suffix}"] = (float(value), unit)
         return out
+
+
+def seconds(scales: Scales, axis: int) -> float:
+    """Return the unit of a time: one second at the pace of a person [s]."""
+    return 1 / scales.pace
+
+
+def hertz(scales: Scales, axis: int) -> float:
+    """Return the unit of a frequency: one hertz at the pace of a person [Hz]."""
+    return scales.pace
 
 
 def excursion(scales: Scales, axis: int) -> float:

@@ -269,7 +269,6 @@ EFFECTS = (
         separating_trial="the same trial, labelled again",
         at_rest=AtRest(()),
         scope="whole",
-        needs=frozenset({"markers"}),
         chains=Chains(output=without_spikes),
         remedy="Label the jumping interface markers again, or leave those samples out",
     ),

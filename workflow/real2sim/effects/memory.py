@@ -21,6 +21,7 @@ from real2sim.effects.base import (
     add_tendon,
     excursion,
     per_excursion,
+    seconds,
     set_branch,
     stiffness,
 )
@@ -305,7 +306,7 @@ EFFECTS = (
         "F1' = k1 qdot - F1 / tau beside the strap's own spring",
         (
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 30.0, (0.5, 3.0), stiffness, log=True),
-            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), log=True),
+            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), seconds, log=True),
         ),
         separating_trial=_HOLDS,
         at_rest=AtRest((1e-9, 0.4), limit="no stiffness"),
@@ -320,7 +321,7 @@ EFFECTS = (
         (
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 30.0, (0.5, 3.0), stiffness, log=True),
             EffectParameter("slower_share", "1", 0.05, 0.95, (0.5,)),
-            EffectParameter("faster_time_constant", "s", 0.03, 0.6, (0.1,), log=True),
+            EffectParameter("faster_time_constant", "s", 0.03, 0.6, (0.1,), seconds, log=True),
             EffectParameter("ratio", "1", 3.0, 40.0, (10.0,), log=True),
         ),
         separating_trial=_HOLDS,
@@ -338,7 +339,7 @@ EFFECTS = (
         (
             # stiffer and shorter it would be friction by another name
             EffectParameter("stiffness", "N/m|Nm/rad", 0.02, 8.0, (0.5, 3.0), stiffness, log=True),
-            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), log=True),
+            EffectParameter("time_constant", "s", 0.03, 2.5, (0.4, 0.1), seconds, log=True),
             EffectParameter("length", "m|rad", 0.12, 3.0, (0.3,), excursion, log=True),
         ),
         separating_trial=_HOLDS,

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from real2sim.effects.base import AtRest, Effect, EffectParameter
+from real2sim.effects.base import AtRest, Effect, EffectParameter, hertz, seconds
 from real2sim.effects.chains import Chains, Context, OutputChain
 
 # Confusable effects
@@ -114,9 +114,11 @@ def _half(values: np.ndarray) -> np.ndarray:
     return values[:, 0] / 2
 
 
-_WINDOW = EffectParameter("window", "s", 0.02, 0.6, (0.08,), log=True)
+# Starts of a delay: one alone lies on the wrong side of a swing of the system where the delay is long beside it
+_LATE = (0.01, 0.04)
+_WINDOW = EffectParameter("window", "s", 0.02, 0.6, (0.08,), seconds, log=True)
 _JERK = "one sharp jerk at the start and at the end, seen by all systems"
-_HALF_OF_RATE = "a cut-off at half of a sampling rate of 100 Hz"
+_HALF_OF_RATE = "a cut-off at half of the sampling rate"
 _NO_FILTER = AtRest((49.9,), tolerance=2e-5, limit=_HALF_OF_RATE)
 # at half of the sampling rate the lag of the log is still 3 ms
 _NO_FILTER_OF_LOG = AtRest((49.9,), tolerance=3e-3, limit=_HALF_OF_RATE)
@@ -127,7 +129,7 @@ EFFECTS = (
         "replay_lag",
         "input",
         "the pelvis is late by tau",
-        (EffectParameter("lag", "s", 0.0, 0.1, (0.01,)),),
+        (EffectParameter("lag", "s", 0.0, 0.1, (0.01,), seconds),),
         separating_trial=_JERK,
         at_rest=AtRest((0.0,)),
         confusable=DELAYS,
@@ -141,7 +143,7 @@ EFFECTS = (
         "sync_offset",
         "output",
         "y(t - tau)",
-        (EffectParameter("offset", "s", -0.25, 0.25, (0.01,)),),
+        (EffectParameter("offset", "s", -0.25, 0.25, _LATE, seconds),),
         separating_trial=_JERK,
         at_rest=AtRest((0.0,)),
         confusable=DELAYS,
@@ -155,8 +157,8 @@ EFFECTS = (
         "output",
         "y(t - tau), tau another one in each trial: recordings that were started by hand",
         (
-            EffectParameter("offset", "s", -0.25, 0.25, (0.01,), trial="fitted"),
-            EffectParameter("offset_held_out", "s", -0.25, 0.25, (0.01,), trial="held out"),
+            EffectParameter("offset", "s", -0.25, 0.25, (0.01,), seconds, trial="fitted"),
+            EffectParameter("offset_held_out", "s", -0.25, 0.25, (0.01,), seconds, trial="held out"),
         ),
         separating_trial=_JERK,
         at_rest=AtRest((0.0, 0.0)),
@@ -171,7 +173,7 @@ EFFECTS = (
         "sync_offset",
         "output",
         "y(t - tau), and the robot's log as late: the pelvis alone is early",
-        (EffectParameter("offset", "s", 0.0, 0.15, (0.01,)),),
+        (EffectParameter("offset", "s", 0.0, 0.15, (0.01,), seconds),),
         separating_trial=_JERK,
         at_rest=AtRest((0.0,)),
         confusable=DELAYS,
@@ -186,7 +188,7 @@ EFFECTS = (
         "log_latency",
         "output",
         "the robot's log alone is late by tau",
-        (EffectParameter("latency", "s", -0.1, 0.25, (0.02,)),),
+        (EffectParameter("latency", "s", -0.1, 0.25, (0.02,), seconds),),
         separating_trial="a stop of the robot that markers on it and its log both show",
         at_rest=AtRest((0.0,)),
         scope="whole",
@@ -211,7 +213,7 @@ EFFECTS = (
             "filter_lag",
             "output",
             f"y low-passed by a causal filter of {name} order",
-            (EffectParameter("cutoff", "Hz", 0.5, 25.0, (6.0,), log=True),),
+            (EffectParameter("cutoff", "Hz", 0.5, 25.0, (6.0,), hertz, log=True),),
             separating_trial="fast content near the filter's cut-off",
             at_rest=_NO_FILTER,
             confusable=DELAYS,
@@ -265,7 +267,7 @@ EFFECTS = (
                 (
                     f"low-passed by a causal filter of {name} order",
                     form,
-                    EffectParameter("cutoff", "Hz", 0.5, 10.0, (6.0,), log=True),
+                    EffectParameter("cutoff", "Hz", 0.5, 10.0, (6.0,), hertz, log=True),
                     _NO_FILTER_OF_LOG,
                     filtered_markers(order),
                     lag_of_filter(order),

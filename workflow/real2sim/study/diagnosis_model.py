@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from real2sim.study.strap_recording import load_evidence
 from real2sim.system.description import System
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
 
-_SCALES = ("q", "v", "k", "d", "inertia")
 # Entries of diagnosis.json that are read
 _READ = (
     *("subject", "verdict", "verdict_set", "parameters", "model", "free_form", "robot_holds", "settings"),
@@ -40,6 +39,12 @@ _HOW_TO_DRIVE = (
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
 
+def _scales(written: Mapping[str, list[float]]) -> Scales:
+    """Return the units of the effects' parameters that an answer was written with."""
+    q, v, k, d, inertia = (np.array(written[name]) for name in ("q", "v", "k", "d", "inertia"))
+    return Scales(q, v, k, d, inertia)
+
+
 def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[list[Placed], list[np.ndarray]]:
     """Effects at their places and their searched numbers (p,), from the entry ``model`` of diagnosis.json.
 
@@ -48,7 +53,7 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
     InputError
         Where the catalogue has no such effect (any more).
     """
-    scales = Scales(**{name: np.array(model["scales"][name]) for name in _SCALES})
+    scales = _scales(model["scales"])
     placed, x = [], []
     for entry in model["effects"]:
         where = tuple(system.axis_names.index(axis) for axis in entry["axes"])
@@ -141,7 +146,7 @@ def export_model(
     settings = answer["settings"]
     noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
     effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
-    scales = Scales(**{name: np.array(answer["model"]["scales"][name]) for name in _SCALES})
+    scales = _scales(answer["model"]["scales"])
     evidence = load_evidence(
         folder=train,
         neutral=neutral,

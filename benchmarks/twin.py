@@ -30,18 +30,27 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.geometry import rotation_xyz
 from real2sim.study.twin import adaptation
-from real2sim.study.twin.coupled import CoupledWalk, FreeWalk
+from real2sim.study.twin.coupled import Condition, CoupledWalk, FreeWalk, Recording
 from real2sim.study.twin.evaluate import plain
 from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference, make_reference
 from real2sim.study.twin.human import Body
 from real2sim.study.twin.policy import Policy, load_policy, save_policy
-from real2sim.study.twin.stage import bar_rows, conditions_of, examined, read_paper, read_prior
+from real2sim.study.twin.stage import (
+    bar_rows,
+    conditions_of,
+    examined,
+    read_paper,
+    read_prior,
+    walking_robots,
+)
 from real2sim.study.twin.train import Trainer, train
 from real2sim.system.plant import JointLimits, RestPose
 
 BODIES = {1.55: Body(1.55, 50.0, "female"), 1.75: Body(1.75, 75.0, "male"), 1.90: Body(1.90, 110.0, "male")}
 STRIDE_S, SPEED_OF_175 = 1.2, 1.10
 SIZE_LIMIT, TIME_LIMIT_S, SURVIVAL = 200_000, 900.0, 0.95
+# Largest RMS slip of a standing heel [m/s]; difference between stride times cadence and speed [1]
+SLIP, STRIDE_OFF = 0.05, 0.02
 
 
 def measured_curves(phantom: dict) -> dict[str, np.ndarray]:
@@ -124,46 +133,55 @@ def interface(phantom: dict) -> tuple[RestPose, JointLimits]:
 
 
 def coupled(policy: Policy, study: dict, phantom: dict, threads: int) -> list[dict]:
-    """Figures of every condition of a coupled walk."""
-    c, ingest = study["twin"]["coupled"], study["ingest"]
+    """Figures of every condition of a coupled walk, with every robot."""
+    twin, ingest = study["twin"], study["ingest"]
+    c = twin["coupled"]
     rest, limits = interface(phantom)
     prior = read_prior(PUBLISHED / "table1_priors.csv")
-    conditions = conditions_of(prior, None, c)
-    walk = CoupledWalk(
-        policy,
-        twin=study["twin"],
-        plant=study["plant"],
-        robot=ROOT / "resources" / "robot" / "drba.xml",
-        rest=rest,
-        limits=limits,
-        conditions=conditions,
-        walkers=c["walkers"],
-        threads=threads,
-    )
-    recording = walk.run(c["walk_s"])
-    free = FreeWalk(policy, twin=study["twin"], walkers=c["walkers"], threads=threads).run(c["walk_s"])
+    free = FreeWalk(policy, twin=twin, walkers=c["walkers"], threads=threads).run(c["walk_s"])
     alone = adaptation.describe(adaptation.cycles_of(free, c["settle_s"]))
-    rate, out = 1 / float(free.time_s[1] - free.time_s[0]), []
-    for k, condition in enumerate(conditions):
-        part = recording.of(np.arange(k * c["walkers"], (k + 1) * c["walkers"]))
-        lasting = part.of(np.flatnonzero(part.alive))
-        about = adaptation.describe(adaptation.cycles_of(lasting, c["settle_s"]))
-        q = lasting.interface[:, lasting.time_s >= c["settle_s"]]
-        out.append(
-            {
-                "name": condition.name,
-                "cap": condition.cap,
-                "factors": dict(condition.factors),
-                "survived": float(part.alive.mean()),
-                "cycles": about["hip_flexion"]["cycles"],
-                "change": {
-                    j: about[j]["rom_deg"][0] - alone[j]["rom_deg"][0] if about[j]["cycles"] else None
-                    for j in SAGITTAL
-                },
-                "cloud": adaptation.cloud(q, rate, ingest["cutoff_hz"], ingest["filter_order"]),
-            }
+    out = []
+    for robot in walking_robots(
+        twin, ROOT / "resources" / "robot" / "drba.xml", ROOT / twin["study_robot"]["model"]
+    ):
+        conditions = conditions_of(prior, None, c, robot, c["main_cap"])
+        walk = CoupledWalk(
+            policy,
+            twin=twin,
+            plant=study["plant"],
+            robot=robot,
+            rest=rest,
+            limits=limits,
+            conditions=conditions,
+            walkers=c["walkers"],
+            threads=threads,
         )
+        recording = walk.run(c["walk_s"])
+        for k, condition in enumerate(conditions):
+            part = recording.of(np.arange(k * c["walkers"], (k + 1) * c["walkers"]))
+            out.append({"robot": robot.name, **figures_of(part, condition, alone, c["settle_s"], ingest)})
     return out
+
+
+def figures_of(part: Recording, condition: Condition, alone: dict, settle_s: float, ingest: dict) -> dict:
+    """Figures of the walkers of one condition; ``alone`` are the joints of the free walk."""
+    lasting = part.of(np.flatnonzero(part.alive))
+    about = adaptation.describe(adaptation.cycles_of(lasting, settle_s))
+    q = lasting.interface[:, lasting.time_s >= settle_s]
+    rate = 1 / float(part.time_s[1] - part.time_s[0])
+    return {
+        "name": condition.name,
+        "cap": condition.cap,
+        "factors": dict(condition.factors),
+        "survived": float(part.alive.mean()),
+        "cycles": about["hip_flexion"]["cycles"],
+        "gait": adaptation.gait_of(lasting, settle_s),
+        "change": {
+            j: about[j]["rom_deg"][0] - alone[j]["rom_deg"][0] if about[j]["cycles"] else None
+            for j in SAGITTAL
+        },
+        "cloud": adaptation.cloud(q, rate, ingest["cutoff_hz"], ingest["filter_order"]),
+    }
 
 
 def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, object, bool]]:
@@ -176,9 +194,15 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
             else "no walker lasted"
         )
         change = "/".join("-" if v is None else f"{v:+.1f}" for v in r["change"].values())
+        gait = "no stride"
+        if g := r["gait"]:
+            gait = (
+                f"{g['speed_m_per_s']:.3f} m/s, stride {g['stride_m']:.3f} m, {g['cadence_per_min']:.0f}/min, "
+                f"slip {g['stance_slip_m_per_s']:.3f} m/s"
+            )
         print(
-            f"    {r['name']:6s} cap {r['cap']:.2f} {factor:14s} survived {100 * r['survived']:3.0f} %,"
-            f" {r['cycles']:3d} cycles, change of RoM {change} deg, {spread}"
+            f"    {r['robot']:9s} {r['name']:6s} cap {r['cap']:.2f} {factor:16s} survived {100 * r['survived']:3.0f} %,"
+            f" {r['cycles']:3d} cycles, {gait}, change of RoM {change} deg, {spread}"
         )
     paper = read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv")
     angles = [paper["angles"][joint] for joint in SAGITTAL]
@@ -186,22 +210,25 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
     gamma = ", ".join(f"{name} {cloud['gamma']}" for name, cloud in paper["cloud"].items())
     print(f"    paper: prior {change} deg; gamma {gamma}")
     plain_rows = [r for r in rows if not r["factors"]]
-    bars: list[tuple[str, object, object, bool]] = [
-        (f"survived {r['name']} cap {r['cap']:g}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL)
-        for r in plain_rows
-    ]
+    bars: list[tuple[str, object, object, bool]] = []
     for r in plain_rows:
+        where = f"{r['robot']} {r['name']} cap {r['cap']:g}"
+        bars.append((f"survived {where}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL))
+        if g := r["gait"]:
+            slip, off = g["stance_slip_m_per_s"], g["stride_speed_m_per_s"] / g["speed_m_per_s"] - 1
+            bars.append((f"stance slip [m/s] {where}", slip, SLIP, slip <= SLIP))
+            bars.append((f"stride x cadence against speed {where}", off, STRIDE_OFF, abs(off) <= STRIDE_OFF))
         if r["name"] == "prior" and r["cap"] <= 0.95:
             hip = r["change"]["hip_flexion"]
-            bars.append((f"hip RoM change, prior cap {r['cap']:g}", hip, 0, hip is not None and hip < 0))
-    area = {
-        r["name"]: r["cloud"].get("ellipse", {}).get("area_mm2", np.nan)
-        for r in plain_rows
-        if r["cap"] == main_cap
-    }
-    ordered = bool(area["soft"] > area["prior"] > area["stiff"])
-    text = " > ".join(f"{name} {value:.0f}" for name, value in area.items())
-    bars.append(("95 % ellipse [mm2] " + text, ordered, True, ordered))
+            bars.append(
+                (f"hip RoM change, {r['robot']} prior cap {r['cap']:g}", hip, 0, hip is not None and hip < 0)
+            )
+    for robot in dict.fromkeys(r["robot"] for r in plain_rows):
+        here = [r for r in plain_rows if r["robot"] == robot and r["cap"] == main_cap]
+        area = {r["name"]: r["cloud"].get("ellipse", {}).get("area_mm2", np.nan) for r in here}
+        ordered = bool(area["soft"] > area["prior"] > area["stiff"])
+        text = " > ".join(f"{name} {value:.0f}" for name, value in area.items())
+        bars.append((f"{robot} 95 % ellipse [mm2] {text}", ordered, True, ordered))
     return bars
 
 
@@ -221,7 +248,13 @@ def main() -> int:
     if options.quick:
         study["twin"]["training"]["steps"] = 60_000
         study["twin"]["evaluation"] |= {"push_minutes": 1, "push_n": [100]}
-        study["twin"]["coupled"] |= {"walkers": 2, "walk_s": 6, "settle_s": 2, "sensitivity": []}
+        study["twin"]["coupled"] |= {
+            "walkers": 2,
+            "walk_s": 6,
+            "settle_s": 2,
+            "sensitivity": [],
+            "study_sensitivity": [],
+        }
         options.folder = options.folder / "quick"
     missed = 0
     for height in options.bodies:

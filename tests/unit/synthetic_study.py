@@ -157,6 +157,7 @@ def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[st
         ):
             for joint in JOINTS:
                 row = {"condition": name, "cap": cap, "joint": joint, "cycles": 20 + seed, "rom_sd_deg": 0.5}
+                row |= {"robot": "study" if cap else "", "main": cap != 1.0}
                 row |= {"rom_deg": 30.0 + seed, "rom_change_deg": change, "peak_deg": 15.0}
                 gait.append(about | row | ({"r_walk_robot": 0.9 + 0.02 * seed} if cap else {}))
         for name, cap, sigma, factor in (
@@ -167,7 +168,8 @@ def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[st
             ("stiff", 0.9, (1.0, 1.0, 3.0), ""),
         ):
             sway = dict(zip(SIGMAS, (*sigma, sigma[0] / sigma[1]), strict=True))
-            cloud.append(about | {"condition": name, "cap": cap, "robot_factor": factor} | sway)
+            place = {"robot": "study" if cap else "", "main": True, "robot_factor": factor}
+            cloud.append(about | {"condition": name, "cap": cap} | place | sway)
     tables = {name: folder / f"{name}.csv" for name in ("bars", "gait", "interface")}
     write_table(tables["bars"], BAR_COLUMNS, bars)
     write_table(tables["gait"], GAIT_COLUMNS, gait)
@@ -183,7 +185,6 @@ def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
         priors=given["priors"],
         cross_trial=given["cross_trial"],
         published=[PUBLISHED / "table2_interface.csv", PUBLISHED / "table3_gait.csv"],
-        main_cap=0.9,
         out=out,
         subject="S99",
         gait=twin["gait"],
@@ -224,7 +225,6 @@ def claim_arguments(folder: Path, study: dict[str, Any]) -> dict[str, Any]:
         "cross_trial": study["cross_trial"],
         "icc": study["icc"],
         "loso": study["loso"],
-        "main_cap": 0.9,
         "subject": "S99",
         "out": folder / "paper" / "claims.csv",
         "out_tex": folder / "paper" / "claims.tex",

@@ -13,10 +13,9 @@ import yaml
 from real2sim.configuration import validated
 from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
 from real2sim.inference.parameters import PARAMETERS
-from real2sim.pages.twin import gait_figure, interface_figure
+from real2sim.pages.twin import gait_figure, interface_figure, speed_figure
 from real2sim.study.twin import adaptation
 from real2sim.study.twin.coupled import (
-    COMPLIANCES,
     Condition,
     CoupledWalk,
     FreeWalk,
@@ -28,12 +27,24 @@ from real2sim.study.twin.env import ACTIONS, OBSERVATIONS
 from real2sim.study.twin.gait import SAGITTAL
 from real2sim.study.twin.policy import Policy
 from real2sim.study.twin.ppo import init_layers
-from real2sim.study.twin.stage import best_fit, cloud_rows, conditions_of, gait_rows, read_paper
+from real2sim.study.twin.robots import COMPLIANCES, CompliantRobot
+from real2sim.study.twin.stage import (
+    best_fit,
+    cap_to_compare,
+    cloud_rows,
+    conditions_of,
+    gait_rows,
+    read_paper,
+    walk_rows,
+    walking_robots,
+)
+from real2sim.system.batches import untimed_batch
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
 
 from tests.unit.walking_person import ROOT, WHO, reference
 
 ROBOT = ROOT / "resources" / "robot" / "drba.xml"
+STUDY_ROBOT = ROOT / "resources" / "systems" / "drba" / "drba.xml"
 PUBLISHED = ROOT / "resources" / "published"
 STUDY = validated({}, "config", Path("config"))
 REST = RestPose(rotation_xyz(np.radians([1.0, -9.0, 0.5])), np.array([-0.075, 0.004, -0.032]))
@@ -53,7 +64,7 @@ def _walk(conditions: list[Condition], walkers: int = 2, twin: dict | None = Non
         _unlearnt(),
         twin=twin or STUDY["twin"],
         plant=STUDY["plant"],
-        robot=ROBOT,
+        robot=CompliantRobot(ROBOT, STUDY["twin"]["follow"]),
         rest=REST,
         limits=LIMITS,
         conditions=conditions,
@@ -63,10 +74,10 @@ def _walk(conditions: list[Condition], walkers: int = 2, twin: dict | None = Non
 
 
 def _model() -> tuple[mujoco.MjModel, np.ndarray]:
-    spec, stand = coupled_spec(
-        WHO, STUDY["twin"]["human"], ROBOT, STUDY["twin"]["follow"], STUDY["plant"], REST, LIMITS
-    )
-    return spec.compile(), stand
+    robot = CompliantRobot(ROBOT, STUDY["twin"]["follow"])
+    model = coupled_spec(WHO, STUDY["twin"]["human"], robot, STUDY["plant"], REST, LIMITS).compile()
+    robot.bind(model, untimed_batch(model, 1, 1), np.ones(1))
+    return model, robot.standing()[0]
 
 
 def test_one_tree_of_robot_strap_and_person():
@@ -185,7 +196,9 @@ def _steady(sigma: np.ndarray) -> Recording:
         joints,
         {s: x - along for s, x in heel.items()},
         heel,
+        {s: 0 * x for s, x in heel.items()},
         along,
+        0.05 * np.sin(2 * np.pi * np.tile(phase, (n, 1))),
         q,
         100 * q,
         0 * along + r.speed,
@@ -210,6 +223,29 @@ def test_cycles_ranges_and_peaks_of_a_known_walk():
         assert about[joint]["peak_deg"][0] == pytest.approx(goal.max(), abs=0.3)
         assert about[joint]["r"] == pytest.approx(1)
     assert adaptation.describe({j: np.empty((0, 101)) for j in SAGITTAL})["knee_angle"] == {"cycles": 0}
+
+
+def test_gait_figures_of_a_known_walk():
+    recording, r = _steady(np.array([0.003, 0.009, 0.002])), reference()
+    gait = adaptation.gait_of(recording, 2.0)
+    assert gait["speed_m_per_s"] == pytest.approx(r.speed, rel=1e-3)
+    assert gait["stride_m"] == pytest.approx(r.speed * r.stride_s, rel=5e-3)
+    assert gait["cadence_per_min"] == pytest.approx(120 / r.stride_s, rel=5e-3)
+    assert gait["stride_speed_m_per_s"] == pytest.approx(gait["speed_m_per_s"], rel=5e-3)
+    assert gait["pelvis_rotation_deg"] == pytest.approx(np.degrees(0.1), rel=0.02)
+    # these heels swing while the body goes on: nothing stands
+    assert gait["stance_slip_m_per_s"] > 0.1
+    assert adaptation.gait_of(recording.of(np.array([], int)), 2.0) == {}
+
+
+def test_the_cap_is_the_persons_own():
+    class Own:
+        speed = 0.8
+
+    coupled = STUDY["twin"]["coupled"]
+    assert cap_to_compare([Own, Own], 1.0, coupled) == (0.8, "own walks with the robot")
+    assert cap_to_compare([], 1.0, coupled)[0] == coupled["main_cap"]
+    assert cap_to_compare([Own], 1.0, {**coupled, "cap_from": "main_cap"})[0] == coupled["main_cap"]
 
 
 def test_the_cloud_of_a_known_sway():
@@ -237,11 +273,16 @@ def test_free_walkers_are_recorded_in_the_same_way():
 
 def test_conditions_and_own_parameters(tmp_path):
     coupled = STUDY["twin"]["coupled"]
-    conditions = conditions_of(PRIOR, None, coupled)
+    both = {**coupled, "robots": ["compliant", "study"]}
+    compliant, study = walking_robots({**STUDY["twin"], "coupled": both}, ROBOT, STUDY_ROBOT)
+    conditions = conditions_of(PRIOR, None, coupled, compliant, 0.9)
     assert {c.name for c in conditions} == {"soft", "prior", "stiff"}
     assert sum(bool(c.factors) for c in conditions) == 3 * len(coupled["sensitivity"])
-    with_own = conditions_of(PRIOR, PRIOR * 2, coupled)
-    assert len(with_own) == len(conditions) + len(coupled["speed_caps"])
+    assert len(conditions_of(PRIOR, PRIOR * 2, coupled, compliant, 0.9)) == len(conditions) + 3
+    # a cap of the person's own is one more for every strap
+    of_study = conditions_of(PRIOR, None, coupled, study, 0.77)
+    assert sum(not c.factors for c in of_study) == 3 * 4
+    assert {c.cap for c in of_study if c.factors} == {0.77}
     files = []
     for trial, factor, cost in (("dynamic_1", 2.0, 0.1), ("dynamic_1", 9.0, 0.3), ("dynamic_2", 8.0, 0.2)):
         files.append(tmp_path / f"{len(files)}.json")
@@ -256,10 +297,12 @@ def _record() -> dict:
     cycles = adaptation.cycles_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
     about = adaptation.describe(cycles, cycles)
     cloud = adaptation.cloud(_steady(np.array([0.003, 0.009, 0.002])).interface, 125.0, 12.0, 4)
-    case = {"cap": 0.9, "robot_factors": {}, "walkers": 8, "survived": 8, "joints": about, "cloud": cloud}
+    gait = adaptation.gait_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
+    place = {"robot": "study", "main": True, "cap": 0.9, "robot_factors": {}}
+    case = {**place, "walkers": 8, "survived": 8, "joints": about, "cloud": cloud, "gait": gait}
     none = {
-        "cap": 0.9,
-        "robot_factors": {},
+        **place,
+        "gait": {},
         "walkers": 8,
         "survived": 0,
         "joints": {j: {"cycles": 0} for j in SAGITTAL},
@@ -269,14 +312,20 @@ def _record() -> dict:
         "seed": 1,
         "phantom": True,
         "main_cap": 0.9,
+        "main_robot": "study",
         "paper": read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv"),
-        "free": about,
+        "free": {**about, "gait": gait},
         "conditions": [
             {"name": "prior", **case},
             {"name": "stiff", **none},
             {"name": "prior", **case, "robot_factors": {"roll": 3.0}},
         ],
-        "measured": {"walk_normal": about, "walk_robot": about, "cloud": cloud, "wrench": {}},
+        "measured": {
+            "walk_normal": {**about, "gait": gait},
+            "walk_robot": {**about, "gait": gait},
+            "cloud": cloud,
+            "wrench": {},
+        },
     }
 
 
@@ -290,13 +339,20 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     assert prior["rom_paper_deg"] == 28.3
     free = next(row for row in gait if row["condition"] == "free" and row["joint"] == "ankle_angle")
     assert free["rom_paper_deg"] == 12.1
+    assert prior["main"]
+    assert not next(row for row in gait_rows("S06", {**record, "main_robot": "compliant"}) if row["cap"])[
+        "main"
+    ]
+    walks = walk_rows("S06", record)
+    assert [row["condition"] for row in walks] == ["free", "walk_normal", "walk_robot", "prior", "stiff"]
+    assert "speed_m_per_s" not in walks[-1]
     clouds = cloud_rows("S06", record)
     assert [row["robot_factor"] for row in clouds] == ["", "", "", "roll x3"]
     assert clouds[2]["gamma"] is None
     assert clouds[1]["gamma_paper"] == 0.360
     path = tmp_path / "coupled.json"
     path.write_text(json.dumps(record))
-    for draw in (gait_figure, interface_figure):
+    for draw in (gait_figure, interface_figure, speed_figure):
         out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
         draw(coupled=[path, path], out=out)
         assert all(p.stat().st_size > 5000 for p in out)

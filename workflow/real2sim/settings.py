@@ -1054,6 +1054,29 @@ TwinFollowSettings = TypedDict(
     },
 )
 
+TwinStudyRobotSettings = TypedDict(
+    "TwinStudyRobotSettings",
+    {
+        "model": str,
+        "stop_distance_m": float,
+        "full_distance_m": float,
+        "full_speed_m_per_s": float,
+        "reach_m": float,
+        "straight_deg": float,
+        "arc_share": float,
+        "yaw_from_deg": float,
+        "yaw_full_deg": float,
+        "yaw_speed_m_per_s": float,
+        "yaw_share": float,
+        "wheel_p": float,
+        "wheel_i": float,
+        "gear": float,
+        "axle_damping": float,
+        "wheel_force_cap_n": float,
+        "grip": float,
+    },
+)
+
 TwinCoupledSoftSettings = TypedDict(
     "TwinCoupledSoftSettings",
     {
@@ -1077,10 +1100,13 @@ TwinCoupledSettings = TypedDict(
         "walk_s": float,
         "settle_s": float,
         "speed_caps": list[float],
+        "robots": list[str],
+        "cap_from": str,
         "main_cap": float,
         "soft": TwinCoupledSoftSettings,
         "stiff": TwinCoupledStiffSettings,
         "sensitivity": list[float],
+        "study_sensitivity": list[float],
         "cadence_exponent": float,
     },
 )
@@ -1096,6 +1122,7 @@ TwinSettings = TypedDict(
         "evaluation": TwinEvaluationSettings,
         "acceptance": TwinAcceptanceSettings,
         "follow": TwinFollowSettings,
+        "study_robot": TwinStudyRobotSettings,
         "coupled": TwinCoupledSettings,
     },
 )

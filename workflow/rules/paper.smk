@@ -19,7 +19,6 @@ if WALKER:
     PAPER_FIGURES["figure6_gait"] = f"results/twin/{WALKER}/gait"
 PAPER_TABLES = ["table1_priors", "table2_interface", "table3_gait", "cross_trial"]
 TWIN_TABLES = {name: f"results/twin/{name}.csv" if TWINS else [] for name in ("gait", "interface", "bars")}
-MAIN_CAP = STUDY["twin"]["coupled"]["main_cap"]
 
 
 rule paper_figures:
@@ -68,11 +67,10 @@ rule paper_tables:
         twin=lambda wildcards, input: (
             given(subject=WALKER, gait=input.gait, interface=input.interface) if WALKER else []
         ),
-        main_cap=MAIN_CAP,
         code=code("paper-tables"),
     shell:
         "python -m real2sim paper-tables --priors {input.priors:q} --cross-trial {input.cross_trial:q}"
-        " --published {input.published:q} --main-cap {params.main_cap} {params.twin:q} --out {output:q} 2>&1 | tee {log:q}"
+        " --published {input.published:q} {params.twin:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule claims:
@@ -125,11 +123,10 @@ rule claims:
             if WALKER
             else []
         ),
-        main_cap=MAIN_CAP,
         content=subject_content(*PEOPLE),
         code=code("claims"),
     shell:
         "python -m real2sim claims --published {input.published:q} --people {params.people:q} --sweeps {input.sweeps:q}"
         " --tightness {input.tightness:q} --fits {input.fits:q} --cross-trial {input.cross_trial:q} --icc {input.icc:q}"
-        " --loso {input.loso:q} --coverage {input.coverage:q} --refined {input.refined:q} {params.twin:q} --main-cap {params.main_cap} --out {output.table:q}"
+        " --loso {input.loso:q} --coverage {input.coverage:q} --refined {input.refined:q} {params.twin:q} --out {output.table:q}"
         " --out-tex {output.tex:q} --out-numbers {output.numbers:q} 2>&1 | tee {log:q}"

@@ -2,7 +2,7 @@
 
 Inputs:  subject.yaml, canonical tables of neutral, walk_normal and walk_robot, joint limits, fits and priors, robot twin.
 Outputs: results/twin/<SUBJECT>/human.xml, reference.{npz,json}; seed-<N>/policy.{npz,json}, evaluation.json,
-         coupled.json; {gait,interface}.{png,pdf,svg}; results/twin/{bars,gait,interface}.csv.
+         coupled.json; {gait,interface,speed}.{png,pdf,svg}; results/twin/{bars,gait,interface,walks}.csv.
 Steps:   model from height, mass and sex; a gait that it can walk; one policy per seed; bars; coupled walks under every
          interface; tables and figures. A person without a walk_normal trial has no gait to learn and is left out.
 """
@@ -24,7 +24,7 @@ rule twin:
     input:
         "results/twin/bars.csv",
         expand("results/twin/{subject}/human.xml", subject=TWINS),
-        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface"]),
+        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface", "speed"]),
 
 
 rule twin_human:
@@ -148,6 +148,7 @@ rule twin_coupled:
         neutral="results/trials/{subject}/neutral/pose.parquet",
         tables=lambda wildcards: walk_tables(wildcards.subject, "walk_normal", "walk_robot"),
         robot=ROBOT,
+        study_robot=STUDY["twin"]["study_robot"]["model"],
         gait=f"{PUBLISHED}/table3_gait.csv",
         interface=f"{PUBLISHED}/table2_interface.csv",
     output:
@@ -171,7 +172,7 @@ rule twin_coupled:
     shell:
         "python -m real2sim twin-coupled --policy {input.policy:q} --record {input.record:q} --priors {input.priors:q}"
         " --fits {input.fits:q} --limits {input.limits:q} --neutral {input.neutral:q} --normal {params.normal:q}"
-        " --assisted {params.assisted:q} --robot {input.robot:q} --published-gait {input.gait:q}"
+        " --assisted {params.assisted:q} --robot {input.robot:q} --study-robot {input.study_robot:q} --published-gait {input.gait:q}"
         " --published-interface {input.interface:q} --settings {params.settings:q} --out {output:q}"
         " --threads {threads} 2>&1 | tee {log:q}"
 
@@ -185,6 +186,7 @@ rule twin_table:
         bars="results/twin/bars.csv",
         gait="results/twin/gait.csv",
         cloud="results/twin/interface.csv",
+        walks="results/twin/walks.csv",
     log:
         "logs/twin/table.log",
     benchmark:
@@ -199,7 +201,8 @@ rule twin_table:
         code=code("twin-table"),
     shell:
         "python -m real2sim twin-table --evaluations {input.evaluations:q} --coupled {input.coupled:q}"
-        " --out-bars {output.bars:q} --out-gait {output.gait:q} --out-cloud {output.cloud:q} 2>&1 | tee {log:q}"
+        " --out-bars {output.bars:q} --out-gait {output.gait:q} --out-cloud {output.cloud:q}"
+        " --out-walks {output.walks:q} 2>&1 | tee {log:q}"
 
 
 rule gait_figure:
@@ -250,6 +253,29 @@ rule interface_figure:
         "python -m real2sim interface-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
+rule speed_figure:
+    """Ranges of motion of hip and knee against speed, measured and simulated."""
+    input:
+        coupled=expand("results/twin/{{subject}}/seed-{seed}/coupled.json", seed=SEEDS),
+    output:
+        multiext("results/twin/{subject}/speed", ".pdf", ".svg"),
+        report("results/twin/{subject}/speed.png", caption="../report/speed.rst", category="Validation"),
+    log:
+        "logs/twin/{subject}/speed_figure.log",
+    benchmark:
+        "logs/benchmarks/twin/{subject}/speed_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("speed-figure"),
+    shell:
+        "python -m real2sim speed-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
 rule twin_clip:
     """A rendered walk with the robot under the prior; needs EGL or OSMesa (MUJOCO_GL) and is asked for by name."""
     input:
@@ -258,6 +284,8 @@ rule twin_clip:
         limits="results/limits/{subject}.json",
         neutral="results/trials/{subject}/neutral/pose.parquet",
         robot=ROBOT,
+        study_robot=STUDY["twin"]["study_robot"]["model"],
+        tables=lambda wildcards: walk_tables(wildcards.subject, "walk_robot"),
     output:
         "results/twin/{subject}/twin.gif",
     log:
@@ -271,10 +299,12 @@ rule twin_clip:
         mem_mb=1500,
         runtime=10,
     params:
+        assisted=lambda wildcards: folders_of(wildcards.subject, "walk_robot"),
         settings=settings_of("twin", "plant"),
         robot=ROBOT_CONTENT,
         code=code("twin-clip"),
     shell:
         "env -u MUJOCO_GL python -m real2sim twin-clip --backend ${{MUJOCO_GL:-egl}} --policy {input.policy:q} --priors {input.priors:q}"
-        " --limits {input.limits:q} --neutral {input.neutral:q} --robot {input.robot:q} --settings {params.settings:q}"
+        " --limits {input.limits:q} --neutral {input.neutral:q} --robot {input.robot:q} --study-robot {input.study_robot:q}"
+        " --assisted {params.assisted:q} --settings {params.settings:q}"
         " --out {output:q} 2>&1 | tee {log:q}"

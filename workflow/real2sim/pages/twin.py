@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 from real2sim.artefacts import read_json
@@ -28,15 +29,14 @@ def _band(axes: Axes, entry: dict[str, Any], colour: str, label: str, dashed: bo
 
 
 def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
-    """Conditions at the cap that is compared with the measurement, or at the one nearest to it."""
+    """Return the conditions of the robot and the cap that are compared with the measurement."""
     plain = [c for c in record["conditions"] if not c["robot_factors"]]
-    cap = min(sorted({c["cap"] for c in plain}), key=lambda value: abs(value - record["main_cap"]))
-    return [c for c in plain if c["cap"] == cap]
+    return [c for c in plain if c["robot"] == record["main_robot"] and c["main"]]
 
 
 def _robot(record: dict[str, Any]) -> str:
-    """How fast the robot goes in the conditions that are drawn."""
-    return f"robot at {_main_conditions(record)[0]['cap']:g} of the walking speed"
+    """Return which robot is drawn, and how fast it goes."""
+    return f"{record['main_robot']} robot, at most {record['main_cap']:.2g} of the walking speed"
 
 
 def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
@@ -64,7 +64,10 @@ def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed:
 
 
 def _records(coupled: list[Path]) -> list[dict[str, Any]]:
-    return [read_json(path, ("conditions", "measured", "free", "main_cap", "phantom")) for path in coupled]
+    return [
+        read_json(path, ("conditions", "measured", "free", "main_cap", "main_robot", "phantom"))
+        for path in coupled
+    ]
 
 
 def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
@@ -163,3 +166,53 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
         "point: a seed (curves: the first), line: measured\n" + _robot(records[0])
     )
     style.panel_letter(axes, "g")
+
+
+_MARKS = {"study": "o", "compliant": "s"}
+
+
+def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Change of the ranges of motion of hip and knee against the change of speed, measured and simulated.
+
+    ``coupled`` are a person's coupled.json, one per seed; every condition of every seed is a point.
+    """
+    records = _records(coupled)
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(3.4, phantom=any(r["phantom"] for r in records))
+        both = figure.subplots(1, 2, sharex=True)
+        for axes, letter, (joint, name) in zip(both, "ab", list(JOINT_NAMES.items())[:2], strict=True):
+            _against_speed(axes, records, joint)
+            style.panel_letter(axes, letter, name)
+            axes.set_xlabel("change of speed (%)")
+        both[0].set_ylabel("change of range of motion (deg)")
+        handles = [Line2D([], [], color=c, marker="o", linestyle="", label=n) for n, c in CONDITIONS.items()]
+        handles += [
+            Line2D([], [], color=style.BLACK, marker=m, mfc="none", linestyle="", label=f"{n} robot")
+            for n, m in _MARKS.items()
+        ]
+        handles.append(
+            Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
+        )
+        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+        style.save(figure, out)
+
+
+def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> None:
+    """Draw every condition without factors, and the person's own change, for a joint."""
+    for record in records:
+        free = record["free"]
+        for c in record["conditions"]:
+            if c["robot_factors"] or not c["joints"][joint].get("cycles") or not c["gait"]:
+                continue
+            speed = 100 * (c["gait"]["speed_m_per_s"] / free["gait"]["speed_m_per_s"] - 1)
+            change = c["joints"][joint]["rom_deg"][0] - free[joint]["rom_deg"][0]
+            colour, mark = CONDITIONS[c["name"]], _MARKS[c["robot"]]
+            axes.plot(speed, change, mark, color=colour, markersize=3.5, mfc="none", markeredgewidth=0.8)
+    measured = records[0]["measured"]
+    if "walk_normal" in measured and "walk_robot" in measured:
+        plain, assisted = measured["walk_normal"], measured["walk_robot"]
+        speed = 100 * (assisted["gait"]["speed_m_per_s"] / plain["gait"]["speed_m_per_s"] - 1)
+        change = assisted[joint]["rom_deg"][0] - plain[joint]["rom_deg"][0]
+        axes.plot(speed, change, "*", color=style.BLUE, markersize=9)
+    axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=0)
+    axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)

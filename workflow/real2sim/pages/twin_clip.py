@@ -17,7 +17,9 @@ from real2sim.recording.pose_table import read_pose
 from real2sim.recording.trial import load_limits
 from real2sim.study.twin.coupled import Condition, CoupledWalk
 from real2sim.study.twin.policy import load_policy
-from real2sim.study.twin.stage import read_prior
+from real2sim.study.twin.reference import read_walks
+from real2sim.study.twin.robots import WalkingRobot
+from real2sim.study.twin.stage import cap_to_compare, read_prior, walking_robots
 from real2sim.system.plant import RestPose
 
 if TYPE_CHECKING:
@@ -75,8 +77,8 @@ def dress(spec: mujoco.MjSpec, robot: Path) -> None:
 class _ShownWalk(CoupledWalk):
     """A coupled walk that a camera sees."""
 
-    def _dress(self, spec: mujoco.MjSpec, robot: Path) -> None:
-        dress(spec, robot)
+    def _dress(self, spec: mujoco.MjSpec, robot: WalkingRobot) -> None:
+        dress(spec, robot.path)
 
 
 def _renderer(model: mujoco.MjModel, backend: str, out: Path) -> Any:
@@ -102,30 +104,34 @@ def twin_clip(
     limits: Path,
     neutral: Path,
     robot: Path,
+    study_robot: Path,
+    assisted: list[Path],
     settings: Settings,
     out: Path,
     backend: str = "egl",
     seconds: float = 6.0,
 ) -> None:
-    """Render a walk with the robot under the prior as an animated GIF.
+    """Render a walk with the first robot of ``twin.coupled.robots`` under the prior as an animated GIF.
 
     ``settings`` has the slices ``twin`` and ``plant``, ``backend`` is egl or osmesa; the other inputs are those of
     `twin_coupled`. Raises InputError where nothing can render.
     """
     from PIL import Image, ImageDraw
 
-    learnt = load_policy(policy)
+    learnt, twin = load_policy(policy), settings["twin"]
+    walks = read_walks(assisted, learnt.body)
+    cap, _ = cap_to_compare(walks, learnt.reference.speed, twin["coupled"])
     pose, about = read_pose(neutral)
     del pose
     rest = about["rest"]
     walk = _ShownWalk(
         learnt,
-        twin=settings["twin"],
+        twin=twin,
         plant=settings["plant"],
-        robot=robot,
+        robot=walking_robots(twin, robot, study_robot)[0],
         rest=RestPose(np.array(rest["rotation"]), np.array(rest["position"])),
         limits=load_limits(limits),
-        conditions=[Condition("prior", read_prior(priors), float(settings["twin"]["coupled"]["main_cap"]))],
+        conditions=[Condition("prior", read_prior(priors), cap)],
         walkers=1,
     )
     states: list[np.ndarray] = []

@@ -229,7 +229,7 @@ def plant_spec(
     _hold_robot(spec, impedances(robot_settings, controller), start)
     middle = (np.array(spec.site("interface_left").pos) + np.array(spec.site("interface_right").pos)) / 2
     pelvis = hang_segment(spec.body("interface"), "pelvis", "pelvis", middle, rest)
-    _add_strap(pelvis, limits, plant_settings)
+    add_strap(pelvis, limits, plant_settings)
     drive_segment(spec, "pelvis", RestPose(reference_rotation, reference_origin), h)
     for name in _SENSORS:
         spec.add_sensor(
@@ -283,7 +283,7 @@ def hang_segment(
     return segment
 
 
-def _add_strap(pelvis: mujoco.MjsBody, limits: JointLimits | None, plant_settings: PlantSettings) -> None:
+def add_strap(pelvis: mujoco.MjsBody, limits: JointLimits | None, plant_settings: PlantSettings) -> None:
     """Add the strap's six joints in reverse, hinges z y x before slides x y z, and their limits."""
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     axes = dict(zip(AXES, [*np.eye(3), *np.eye(3)], strict=True))

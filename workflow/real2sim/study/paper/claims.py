@@ -58,12 +58,11 @@ class Finding:
 
 @dataclass
 class Walks:
-    """The walking twin: tables of gait and interface, degrees of freedom, speed cap of the comparison."""
+    """The walking twin: tables of gait and interface, degrees of freedom."""
 
     gait: list[Row] = field(default_factory=list)
     interface: list[Row] = field(default_factory=list)
     dof: int | None = None
-    main_cap: float = math.nan
 
 
 @dataclass
@@ -525,15 +524,11 @@ def _gamma_arithmetic(e: Evidence) -> Finding:
 
 
 def _clouds(e: Evidence, *, factors: bool = False) -> dict[str, dict[str, Row]]:
-    """Return rows of the interface table at the main cap by seed and condition; of a changed robot with ``factors``."""
+    """Return the compared rows of the interface table by seed and condition; of a changed robot with ``factors``."""
     out: dict[str, dict[str, Row]] = {}
     for row in e.walks.interface:
         plain = not row["robot_factor"]
-        if (
-            not row["sigma_x_mm"]
-            or (row["cap"] and number(row["cap"]) != e.walks.main_cap)
-            or plain is factors
-        ):
+        if not row["sigma_x_mm"] or row["main"] != "true" or plain is factors:
             continue
         name = row["condition"] if plain else f"{row['condition']} {row['robot_factor']}"
         out.setdefault(row["seed"], {})[name] = row
@@ -585,7 +580,7 @@ def _gamma_value(e: Evidence) -> Finding:
     low, high = min(values), max(values)
     holds = low <= e.said("gamma_value") <= high
     reason = (
-        f"With the robot's assumed compliances changed by the factors of twin.coupled.sensitivity it moves between "
+        f"With the robot's constants changed by the factors of twin.coupled it moves between "
         f"{_short(low)} and {_short(high)}. The paper gives none of them, so its number is "
         f"{'within reach but not explained' if holds else 'not reached'}."
     )
@@ -626,9 +621,7 @@ def _gait(e: Evidence, condition: str, joint: str) -> list[Row]:
     return [
         row
         for row in e.walks.gait
-        if row["condition"] == condition
-        and row["joint"] == joint
-        and (not row["cap"] or number(row["cap"]) == e.walks.main_cap)
+        if row["condition"] == condition and row["joint"] == joint and row["main"] == "true"
     ]
 
 
@@ -642,14 +635,16 @@ def _cycles(e: Evidence) -> Finding:
 
 def _rom_change(e: Evidence, claim: str) -> Finding:
     joint = _JOINTS[claim.removesuffix("_change")]
-    found = [number(r["rom_change_deg"]) for r in _gait(e, "prior", joint) if r["rom_change_deg"]]
+    rows = [r for r in _gait(e, "prior", joint) if r["rom_change_deg"]]
+    found = [number(r["rom_change_deg"]) for r in rows]
     if not found:
         return _no(_NO_TWIN)
     said = e.said(claim)
     same = [math.copysign(1, value) == math.copysign(1, said) for value in found]
     measured = [number(r["rom_change_deg"]) for r in _gait(e, "walk_robot", joint) if r["rom_change_deg"]]
     reason = (
-        f"Per seed: {', '.join(_short(v, 2) for v in found)} at a speed cap of {_short(e.walks.main_cap)}."
+        f"Per seed: {', '.join(_short(v, 2) for v in found)} with the {rows[0]['robot']} robot at a speed cap of "
+        f"{_short(number(rows[0]['cap']))}."
     )
     if measured:
         reason += f" The person's own walks change by {_short(measured[0], 2)}."
@@ -763,7 +758,6 @@ def claims(
     cross_trial: Path,
     icc: Path,
     loso: Path,
-    main_cap: float,
     out: Path,
     out_tex: Path,
     out_numbers: Path,
@@ -786,8 +780,6 @@ def claims(
         Files of the stages that bear these names.
     subject, human
         The unseen person whose twin walks, and the MJCF of their skeletal model.
-    main_cap
-        Speed cap at which the twin is compared with the measurement.
     """
     tables = {path.stem: read_table(path) for path in published}
     icc_rows = read_table(icc, ("parameter", "class", "phantom"))
@@ -803,7 +795,7 @@ def claims(
         loso=read_table(loso, ("subject", "status")),
         coverage=read_table(coverage) if coverage else [],
         refined=[read_json(path, ("subject", "status")) for path in refined or []],
-        walks=_walks(subject, gait, interface, human, main_cap),
+        walks=_walks(subject, gait, interface, human),
         phantom=any(row["phantom"] == "true" for row in icc_rows),
     )
     rows = judge(evidence, next(path for path in published if path.stem == "claims"))
@@ -813,12 +805,10 @@ def claims(
     write_text(out_numbers, macros(values, phantom=evidence.phantom))
 
 
-def _walks(
-    subject: str, gait: Path | None, interface: Path | None, human: Path | None, main_cap: float
-) -> Walks:
+def _walks(subject: str, gait: Path | None, interface: Path | None, human: Path | None) -> Walks:
     """Read what is known of the walking twin of one person; arguments as of `claims`."""
     dof = mujoco.MjModel.from_xml_path(str(human)).nv if human else None
-    return Walks(_rows_of(gait, subject), _rows_of(interface, subject), dof, main_cap)
+    return Walks(_rows_of(gait, subject), _rows_of(interface, subject), dof)
 
 
 def _latex(rows: list[dict[str, Any]], phantom: bool) -> str:

@@ -71,9 +71,9 @@ def _averages(rows: Sequence[Row], keys: Iterable[str], published: Row | None) -
     return out
 
 
-def _at_cap(rows: Iterable[Row], subject: str, cap: float) -> list[Row]:
-    """A person's rows at the cap that is compared with the measurement, and those without a robot."""
-    return [r for r in rows if r["subject"] == subject and (not r["cap"] or number(r["cap"]) == cap)]
+def _compared(rows: Iterable[Row], subject: str) -> list[Row]:
+    """Return a person's rows of the robot and cap that are compared with the measurement, and those without a robot."""
+    return [r for r in rows if r["subject"] == subject and r["main"] == "true"]
 
 
 def interface_rows(rows: Sequence[Row], published: Sequence[Row], phantom: bool) -> list[dict[str, Any]]:
@@ -125,7 +125,6 @@ def paper_tables(
     priors: Path,
     cross_trial: Path,
     published: list[Path],
-    main_cap: float,
     out: list[Path],
     subject: str = "",
     gait: Path | None = None,
@@ -149,8 +148,8 @@ def paper_tables(
     theirs = {path.stem: read_table(path, ("condition", "place")) for path in published}
     prior_rows = read_table(priors, ("parameter", "phantom"))
     phantom = any(row["phantom"] == "true" for row in prior_rows)
-    walked = _at_cap(read_table(gait), subject, main_cap) if gait else []
-    clouds = _at_cap(read_table(interface), subject, main_cap) if interface else []
+    walked = _compared(read_table(gait), subject) if gait else []
+    clouds = _compared(read_table(interface), subject) if interface else []
     table2 = interface_rows(clouds, theirs["table2_interface"], phantom)
     table3 = gait_rows(walked, theirs["table3_gait"], phantom)
     costs = read_table(cross_trial, ("subject", "status"))

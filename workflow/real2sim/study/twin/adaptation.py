@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from real2sim.study.twin.human import FEET
 
 JOINT_NAMES = dict(zip(SAGITTAL, ("hip", "knee", "ankle"), strict=True))
 CYCLE = 101  # samples of a normalised cycle, 0-100 %
+# Part of the cycle, from heel strike, in which the whole foot is on the floor
+_FLAT = (0.15, 0.35)
 DRAWN = 300  # samples of a cloud that a figure shows, at most
 
 
@@ -48,6 +51,82 @@ def measured_cycles(walks: list[Walk]) -> dict[str, np.ndarray]:
             ]
         )
         for joint in SAGITTAL
+    }
+
+
+def _strikes_of(recording: Recording, row: int, side: str, known: np.ndarray) -> np.ndarray:
+    """Return the times of a foot's strikes [s] among the ``known`` samples of a walker."""
+    time = recording.time_s[known]
+    along = recording.heel_along[side][row][known]
+    speed = float((along[-1] - along[0]) / (time[-1] - time[0]))
+    return settled(time, along, heel_strikes(time, recording.heel_ahead[side][row][known]), speed)
+
+
+def gait_of(recording: Recording, settle_s: float) -> dict[str, Any]:
+    """Return how walkers went after settling, each figure a mean over them; {} where nobody has a whole stride.
+
+    ``speed_m_per_s`` of the pelvis, ``stride_m``, ``cadence_per_min`` (steps), ``stride_speed_m_per_s`` (stride times
+    half the cadence), ``stance_slip_m_per_s`` (RMS speed of the heel over the floor from foot flat to heel off,
+    ``_FLAT`` of the cycle), ``pelvis_rotation_deg`` (range of the heading within a stride), ``robot_speed_m_per_s``.
+    """
+    rows = []
+    for row in range(len(recording.alive)):
+        known = np.isfinite(recording.along[row]) & (recording.time_s >= settle_s)
+        if known.sum() < 100:
+            continue
+        found = [f for side in FEET if (f := _stride_figures(recording, row, side, known))]
+        if found:
+            time, along = recording.time_s[known], recording.along[row][known]
+            speed = (along[-1] - along[0]) / (time[-1] - time[0])
+            robot = float(np.mean(recording.base_speed[row][known]))
+            rows.append([speed, robot, *np.mean(found, axis=0)])
+    if not rows:
+        return {}
+    speed, robot, length, lasts, slip_sq, turn = np.mean(rows, axis=0)
+    return {
+        "speed_m_per_s": float(speed),
+        "stride_m": float(length),
+        "cadence_per_min": float(120 / lasts),
+        "stride_speed_m_per_s": float(length / lasts),
+        "stance_slip_m_per_s": float(np.sqrt(slip_sq)),
+        "pelvis_rotation_deg": float(turn),
+        "robot_speed_m_per_s": float(robot),
+    }
+
+
+def _stride_figures(recording: Recording, row: int, side: str, known: np.ndarray) -> list[float]:
+    """Return stride length [m] and time [s], mean square of the heel's slip [m2/s2], range of heading [deg]."""
+    strikes = _strikes_of(recording, row, side, known)
+    if len(strikes) < 2:
+        return []
+    time = recording.time_s[known]
+    heel = np.column_stack([recording.heel_along[side][row][known], recording.heel_across[side][row][known]])
+    moving = np.sum(np.gradient(heel, time, axis=0) ** 2, axis=1)
+    yaw = np.degrees(np.unwrap(recording.pelvis_yaw[row][known]))
+    slips, turns = [], []
+    for a, b in pairwise(strikes):
+        phase = (time - a) / (b - a)
+        slips.append(moving[(phase >= _FLAT[0]) & (phase <= _FLAT[1])].mean())
+        turns.append(np.ptp(yaw[(phase >= 0) & (phase <= 1)]))
+    length = np.diff(np.interp(strikes, time, heel[:, 0])).mean()
+    return [float(length), float(np.diff(strikes).mean()), float(np.mean(slips)), float(np.mean(turns))]
+
+
+def measured_gait(walks: list[Walk]) -> dict[str, Any]:
+    """Return speed, stride, cadence and pelvis rotation of measured walks in the form of `gait_of`, without slip."""
+    speed = float(np.mean([w.speed for w in walks]))
+    lasts = float(np.mean([w.stride_s for w in walks]))
+    turns = [
+        np.ptp(np.degrees(w.joints["pelvis_rotation"][(w.time_s >= a) & (w.time_s <= b)]))
+        for w in walks
+        for side in FEET
+        for a, b in pairwise(w.strikes[side])
+    ]
+    return {
+        "speed_m_per_s": speed,
+        "stride_m": speed * lasts,
+        "cadence_per_min": 120 / lasts,
+        "pelvis_rotation_deg": float(np.mean(turns)),
     }
 
 

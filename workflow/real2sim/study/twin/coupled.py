@@ -9,59 +9,33 @@ root coordinates are those of robot and strap.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
-from real2sim.errors import InputError
 from real2sim.geometry import interface_coordinates, relative_pose
 from real2sim.study.twin.env import RootState, correction_of, gains, observe, rotations, servo_target
 from real2sim.study.twin.gait import SAGITTAL
 from real2sim.study.twin.human import FEET, JOINTS, Body, add_actuators, add_floor, add_human, human_spec
 from real2sim.study.twin.policy import Policy
+from real2sim.study.twin.robots import WalkingRobot
 from real2sim.system.batches import untimed_batch
-from real2sim.system.plant import (
-    ROBOT_JOINTS,
-    STRAP_JOINTS,
-    JointLimits,
-    RestPose,
-    compiled,
-    load_robot,
-    plant_spec,
-    robot_pose_for,
-)
+from real2sim.system.plant import STRAP_JOINTS, JointLimits, RestPose, compiled
 
 if TYPE_CHECKING:
     from real2sim.settings import (
         PlantSettings,
-        TwinFollowSettings,
         TwinHumanContactSettings,
         TwinHumanSettings,
         TwinSettings,
     )
 
-# Robot axes whose compliance is assumed and shapes the interface cloud, and the joint that has it
-COMPLIANCES = {"lateral": "base_y", "vertical": "arm_lift", "roll": "arm_roll"}
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6
 _SENSORS = 19  # columns of `add_gait_sensors`
 _CADENCE_FILTER_S = 1.0  # over which the person senses the robot's speed
-
-
-def robot_settings(follow: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the impedances of the follow mode in the form of the slice ``robot`` of the configuration."""
-    free = {"stiffness": 0.0, "damping": 0.0}
-
-    def impedance(name: str) -> dict[str, float]:
-        return {key: follow[name][key] for key in ("stiffness", "damping")}
-
-    return {
-        "follow": {"x": free, "y": impedance("lateral"), "yaw": impedance("yaw")},
-        "arm": {"lift": impedance("vertical"), "roll": impedance("roll"), "pitch": impedance("pitch")},
-    }
 
 
 def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarray]:
@@ -77,56 +51,29 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
 def coupled_spec(
     who: Body,
     human: TwinHumanSettings,
-    robot: Path,
-    follow: TwinFollowSettings,
+    robot: WalkingRobot,
     plant: PlantSettings,
     rest: RestPose,
     limits: JointLimits | None,
-) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """Describe robot, strap and person as one tree, and return the robot's joints (6,) while the person stands too.
+) -> mujoco.MjSpec:
+    """Describe robot, strap and person as one tree; the robot knows its stand from then on.
 
-    ``human``, ``follow`` are slices of ``twin``, ``plant`` is the slice ``plant`` (its limits are used). Strap
-    stiffness and damping are set per simulation.
+    ``human`` is a slice of ``twin``, ``plant`` the slice ``plant`` (its limits are used). Strap stiffness and damping
+    are set per simulation.
 
     Raises
     ------
     InputError
         Where the robot cannot reach the interface of the standing person.
     """
-    start = _reach(robot, *standing_interface(who, rest))
     settings: PlantSettings = {**plant, "timestep_s": human["timestep_s"]}
-    spec = plant_spec(
-        robot,
-        robot_settings(follow),
-        settings,
-        rest,
-        limits,
-        start,
-        np.eye(3),
-        np.zeros(3),
-        controller="follow",
-    )
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
+    spec = robot.describe(settings, rest, limits, standing_interface(who, rest))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags &= ~(mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for name in ("base", "arm", "interface"):
-        spec.body(name).gravcomp = 1
     _add_person(spec, who, rest, human["contact"])
-    _add_follow(spec, follow)
     add_floor(spec)
     add_gait_sensors(spec)
-    return spec, start
-
-
-def _reach(robot: Path, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return the robot's joints (6,) at an interface pose; raise InputError where it cannot reach it."""
-    try:
-        return robot_pose_for(load_robot(robot).compile(), rotation, position)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise InputError(
-            robot, "", str(error), "a twin that reaches a standing person's pelvis", "Check its geometry."
-        ) from error
+    return spec
 
 
 def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: TwinHumanContactSettings) -> None:
@@ -140,21 +87,6 @@ def _add_person(spec: mujoco.MjSpec, who: Body, rest: RestPose, contact: TwinHum
     person = pelvis.add_body(name="human", pos=origin, quat=quat)
     add_human(person, who, contact, degrees=bool(spec.compiler.degree))
     add_actuators(spec, who)
-
-
-def _add_follow(spec: mujoco.MjSpec, follow: TwinFollowSettings) -> None:
-    """Add the velocity servo of the base, limited in force."""
-    spec.add_actuator(
-        name="follow",
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        target="base_x",
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[follow["speed_gain"]] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, 0, -follow["speed_gain"]] + [0] * 7,
-        forcerange=[-follow["force_cap_n"], follow["force_cap_n"]],
-        forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-    )
 
 
 def add_gait_sensors(spec: mujoco.MjSpec) -> None:
@@ -176,7 +108,7 @@ def add_gait_sensors(spec: mujoco.MjSpec) -> None:
 class Condition:
     """One way of coupling: strap parameters (12,), speed cap as a share of the person's speed, robot's factors.
 
-    ``factors`` multiply the robot's lateral, vertical and roll impedance (`COMPLIANCES`).
+    ``factors`` multiply constants of the robot by name (`WalkingRobot.constants`).
     """
 
     name: str
@@ -187,18 +119,21 @@ class Condition:
 
 @dataclass
 class Recording:
-    """What some walkers did, at ``rate_hz``: (m, n) unless said otherwise; NaN after a fall.
+    """Motion of some walkers, (m, n) unless said otherwise; NaN after a fall.
 
-    ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead``, ``heel_along`` and ``along`` by side or alone [m];
-    ``interface`` (m, n, 6) strap coordinates q; ``wrench`` (m, n, 6) what springs and dampers of the strap exert on the
-    interface along them [N, Nm], without the stops; ``base_speed`` [m/s]; ``alive``, ``survived_s`` (m,).
+    ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead`` of the pelvis, ``heel_along`` and ``heel_across`` in
+    the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_yaw`` [rad]; ``interface`` (m, n, 6) strap
+    coordinates q; ``wrench`` (m, n, 6) of springs and dampers of the strap on the interface along them [N, Nm], without
+    the stops; ``base_speed`` of the robot [m/s]; ``alive``, ``survived_s`` (m,).
     """
 
     time_s: np.ndarray
     joints: dict[str, np.ndarray]
     heel_ahead: dict[str, np.ndarray]
     heel_along: dict[str, np.ndarray]
+    heel_across: dict[str, np.ndarray]
     along: np.ndarray
+    pelvis_yaw: np.ndarray
     interface: np.ndarray
     wrench: np.ndarray
     base_speed: np.ndarray
@@ -207,18 +142,14 @@ class Recording:
 
     def of(self, rows: np.ndarray) -> Recording:
         """Return the recording of some of the walkers."""
-        return Recording(
-            self.time_s,
-            {k: v[rows] for k, v in self.joints.items()},
-            {k: v[rows] for k, v in self.heel_ahead.items()},
-            {k: v[rows] for k, v in self.heel_along.items()},
-            self.along[rows],
-            self.interface[rows],
-            self.wrench[rows],
-            self.base_speed[rows],
-            self.alive[rows],
-            self.survived_s[rows],
-        )
+        parts: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, dict):
+                parts[item.name] = {key: rows_of[rows] for key, rows_of in value.items()}
+            else:
+                parts[item.name] = value if item.name == "time_s" else value[rows]
+        return Recording(**parts)
 
 
 class _Walkers:
@@ -236,13 +167,14 @@ class _Walkers:
         self.kp = gains(policy.body)
         self._q = np.array([model.joint(j).qposadr[0] for j in JOINTS])
         self._v = np.array([model.joint(j).dofadr[0] for j in JOINTS])
+        self._servos = np.array([model.actuator(j).id for j in JOINTS])
         self._strap = np.empty(0, int)
         self._base: int | None = None
 
     def _start(self, phase: np.ndarray) -> None:
         raise NotImplementedError
 
-    def _robot_command(self, root: RootState, control: np.ndarray) -> None:
+    def _command_robot(self, root: RootState, control: np.ndarray) -> None:
         """Write the robot's part of ``control``: none."""
 
     def _cadence(self) -> np.ndarray | float:
@@ -308,10 +240,10 @@ class _Walkers:
             reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(self.n), cadence
         )
         correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
-        control[:, : len(JOINTS)] = servo_target(
+        control[:, self._servos] = servo_target(
             reference, phase, self.control_s, self.kp, correction, cadence
         )
-        self._robot_command(root, control)
+        self._command_robot(root, control)
         return cadence
 
     def _fallen(self, root: RootState, qpos: np.ndarray, height: float) -> np.ndarray:
@@ -354,7 +286,9 @@ class _Walkers:
             },
             {side: x - along for side, x in heel.items()},
             heel,
+            {side: s[..., 14 + 3 * i] for i, side in enumerate(FEET)},
             along,
+            _yaw(s[..., 3:7]),
             kept["q"].astype(float),
             kept["wrench"].astype(float),
             kept["base"][..., 0].astype(float),
@@ -386,7 +320,7 @@ class CoupledWalk(_Walkers):
     twin, plant
         Slices ``twin`` and ``plant`` of the configuration.
     robot, rest, limits
-        Robot twin, rest pose and joint limits of the interface.
+        Robot, rest pose and joint limits of the interface.
     conditions
         What to simulate.
     walkers, threads
@@ -399,52 +333,43 @@ class CoupledWalk(_Walkers):
         *,
         twin: TwinSettings,
         plant: PlantSettings,
-        robot: Path,
+        robot: WalkingRobot,
         rest: RestPose,
         limits: JointLimits | None,
         conditions: list[Condition],
         walkers: int,
         threads: int = 1,
     ):
-        spec, self.stand = coupled_spec(
-            policy.body, twin["human"], robot, twin["follow"], plant, rest, limits
-        )
+        spec = coupled_spec(policy.body, twin["human"], robot, plant, rest, limits)
         self._dress(spec, robot)
-        super().__init__(policy, compiled(spec, robot), twin, len(conditions) * walkers, threads)
-        self.conditions, self.walkers, self.rest = conditions, walkers, rest
-        self.follow, self.cadence_exponent = twin["follow"], twin["coupled"]["cadence_exponent"]
-        m = self.model
+        model = compiled(spec, robot.path)
+        super().__init__(policy, model, twin, len(conditions) * walkers, threads)
+        self.robot, self.conditions, self.walkers, self.rest = robot, conditions, walkers, rest
+        self.cadence_exponent = twin["coupled"]["cadence_exponent"]
         # every joint of robot, strap and person has one coordinate: its place in qpos is that in qvel
-        self._robot = np.array([m.joint(j).dofadr[0] for j in ROBOT_JOINTS])
-        self._strap = np.array([m.joint(j).dofadr[0] for j in STRAP_JOINTS])
+        self._robot = np.array([model.joint(j).dofadr[0] for j in robot.joints])
+        self._drives = np.array([model.actuator(name).id for name in robot.commands])
+        self._strap = np.array([model.joint(j).dofadr[0] for j in STRAP_JOINTS])
         self._base = int(self._robot[0])
-        self._set_conditions()
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
+        robot.bind(model, self.batch, self.cap)
+        self._set_conditions()
 
-    def _dress(self, spec: mujoco.MjSpec, robot: Path) -> None:
+    def _dress(self, spec: mujoco.MjSpec, robot: WalkingRobot) -> None:
         """Add what only a camera needs: nothing."""
 
     def _set_conditions(self) -> None:
-        """Set strap and robot impedances per simulation."""
-        stiffness, damping, armature = (
-            self.batch.expand(n) for n in ("jnt_stiffness", "dof_damping", "dof_armature")
-        )
-        ids = {j: self.model.joint(j).id for j in (*STRAP_JOINTS, *COMPLIANCES.values())}
-        h = self.model.opt.timestep
+        """Set strap impedances and the robot's constants per simulation."""
+        stiffness, damping = self.batch.expand("jnt_stiffness"), self.batch.expand("dof_damping")
+        ids = [self.model.joint(j).id for j in STRAP_JOINTS]
         for k, condition in enumerate(self.conditions):
             rows = slice(k * self.walkers, (k + 1) * self.walkers)
-            for i, joint in enumerate(STRAP_JOINTS):
+            for i, joint in enumerate(ids):
                 # MuJoCo's fields of a spring and a damper hold the coefficients of a polynomial: the first is linear
-                _linear(stiffness, ids[joint])[rows] = condition.parameters[i]
+                _linear(stiffness, joint)[rows] = condition.parameters[i]
                 _linear(damping, self._strap[i])[rows] = condition.parameters[6 + i]
-            for axis, factor in condition.factors:
-                joint = ids[COMPLIANCES[axis]]
-                dof = int(self.model.jnt_dofadr[joint])
-                own = float(self.model.dof_damping[dof])
-                stiffness[rows, joint] *= factor
-                damping[rows, dof] *= factor
-                # the plant centres its steps by an armature of -d h / 2, which follows the damping
-                armature[rows, dof] -= (factor - 1) * own * h / 2
+            for constant, factor in condition.factors:
+                self.robot.multiply(rows, constant, factor)
 
     def _phases(self) -> np.ndarray:
         return np.tile(np.arange(self.walkers) / self.walkers, len(self.conditions))
@@ -458,11 +383,12 @@ class CoupledWalk(_Walkers):
         site = model.site("human_root").id
         jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
         level, place = standing_interface(who, self.rest)
+        stand = self.robot.standing()
         position, velocity = self.batch.bind("qpos"), self.batch.bind("qvel")
         for i, rotation in enumerate(turned):
             shift = np.array([qpos[i, 0], 0, 0])
             pelvis = rotation @ self.rest.rotation.T, qpos[i, :3] + rotation @ who.mid_asis
-            data.qpos[self._robot] = self.stand
+            data.qpos[self._robot] = stand[i]
             data.qpos[self._base] += shift[0]
             data.qpos[self._strap] = interface_coordinates(
                 *relative_pose(*pelvis, level, place + shift), self.rest.rotation, self.rest.position
@@ -479,20 +405,12 @@ class CoupledWalk(_Walkers):
             moving = jacobian[:, self._robot] @ data.qvel[self._robot]
             data.qvel[self._strap] = np.linalg.solve(jacobian[:, self._strap], twist - moving)
             position[i], velocity[i] = data.qpos, data.qvel
-        # the distance that the robot keeps is the one of standing
-        self._distance = np.full(self.n, self.stand[0])
-        self._pelvis_speed = np.full(self.n, reference.speed)
+        self.robot.start(reference.speed)
         self._base_speed = velocity[:, self._base].copy()
 
-    def _robot_command(self, root: RootState, control: np.ndarray) -> None:
-        """Command the base: the person's speed as the robot sees it, and the distance of standing, under the cap."""
-        follow, base = self.follow, self.batch.bind("qpos")[:, self._base]
-        share = min(1.0, self.control_s / follow["speed_filter_s"])
-        self._pelvis_speed += (root.velocity[:, 0] - self._pelvis_speed) * share
-        gap = root.position[:, 0] + self._distance - base
-        control[:, len(JOINTS)] = np.clip(
-            self._pelvis_speed + follow["distance_gain_per_s"] * gap, 0, self.cap
-        )
+    def _command_robot(self, root: RootState, control: np.ndarray) -> None:
+        """Write the robot's commands into ``control``."""
+        control[:, self._drives] = self.robot.command(root, self.control_s)
 
     def _cadence(self) -> np.ndarray | float:
         if not self.cadence_exponent:
@@ -501,6 +419,12 @@ class CoupledWalk(_Walkers):
         self._base_speed += (speed - self._base_speed) * self.control_s / _CADENCE_FILTER_S
         share = self._base_speed / self.policy.reference.speed
         return np.asarray(np.clip(share, 0.5, 1.2) ** self.cadence_exponent)
+
+
+def _yaw(quaternion: np.ndarray) -> np.ndarray:
+    """Return the heading (...) [rad] of unit quaternions (..., 4), w first."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return np.asarray(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
 
 
 def _linear(field: np.ndarray, index: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +17,7 @@ from real2sim.recording.ingest import WRENCH
 from real2sim.recording.pose_table import read_pose
 from real2sim.recording.trial import load_limits
 from real2sim.study.twin import adaptation
-from real2sim.study.twin.coupled import (
-    COMPLIANCES,
-    Condition,
-    CoupledWalk,
-    FreeWalk,
-    Recording,
-    strap_vectors,
-)
+from real2sim.study.twin.coupled import Condition, CoupledWalk, FreeWalk, Recording, strap_vectors
 from real2sim.study.twin.evaluate import (
     PUSH_DIRECTIONS,
     PUSH_PHASES,
@@ -35,11 +29,12 @@ from real2sim.study.twin.evaluate import (
     pushed_walk,
     withstands,
 )
-from real2sim.study.twin.gait import SAGITTAL
-from real2sim.study.twin.human import Body
+from real2sim.study.twin.gait import SAGITTAL, Walk
 from real2sim.study.twin.policy import Policy, load_policy
 from real2sim.study.twin.reference import PACKAGES, read_walks
-from real2sim.system.plant import RestPose
+from real2sim.study.twin.robots import CompliantRobot, WalkingRobot
+from real2sim.study.twin.study_robot import StudyRobot
+from real2sim.system.plant import JointLimits, RestPose
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSettings, Settings, TwinCoupledSettings, TwinSettings
@@ -109,17 +104,42 @@ def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
     }
 
 
-def conditions_of(prior: np.ndarray, own: np.ndarray | None, coupled: TwinCoupledSettings) -> list[Condition]:
-    """Return every coupling to simulate: four interfaces at each cap, the robot's compliances under the prior."""
+def walking_robots(twin: TwinSettings, compliant: Path, study: Path) -> list[WalkingRobot]:
+    """Return the robots of ``twin.coupled.robots`` in their order, from the MJCF of each."""
+    made: dict[str, WalkingRobot] = {
+        "compliant": CompliantRobot(compliant, twin["follow"]),
+        "study": StudyRobot(study, twin["study_robot"]),
+    }
+    return [made[name] for name in twin["coupled"]["robots"]]
+
+
+def conditions_of(
+    prior: np.ndarray,
+    own: np.ndarray | None,
+    coupled: TwinCoupledSettings,
+    robot: WalkingRobot,
+    main_cap: float,
+) -> list[Condition]:
+    """Return every coupling to simulate: four interfaces at each cap, the robot's constants under the prior."""
     straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
     straps = {"soft": straps["soft"], "prior": prior, "stiff": straps["stiff"]}
     if own is not None:
         straps["own"] = own
-    out = [Condition(name, v, float(cap)) for name, v in straps.items() for cap in coupled["speed_caps"]]
-    for axis in COMPLIANCES:
-        for factor in coupled["sensitivity"]:
-            out.append(Condition("prior", prior, float(coupled["main_cap"]), ((axis, float(factor)),)))
+    caps = sorted({main_cap, *map(float, coupled["speed_caps"])})
+    out = [Condition(name, v, cap) for name, v in straps.items() for cap in caps]
+    factors = coupled["study_sensitivity" if robot.name == "study" else "sensitivity"]
+    for constant in robot.constants:
+        for factor in factors:
+            out.append(Condition("prior", prior, main_cap, ((constant, float(factor)),)))
     return out
+
+
+def cap_to_compare(assisted: list[Walk], own_speed: float, coupled: TwinCoupledSettings) -> tuple[float, str]:
+    """Return the speed cap that is compared with the measurement, as a share of ``own_speed`` [m/s], and its source."""
+    if coupled["cap_from"] == "own" and assisted:
+        speed = float(np.mean([walk.speed for walk in assisted]))
+        return round(speed / own_speed, 4), "own walks with the robot"
+    return float(coupled["main_cap"]), "twin.coupled.main_cap"
 
 
 def twin_coupled(
@@ -133,6 +153,7 @@ def twin_coupled(
     normal: list[Path],
     assisted: list[Path],
     robot: Path,
+    study_robot: Path,
     published_gait: Path,
     published_interface: Path,
     settings: Settings,
@@ -149,27 +170,32 @@ def twin_coupled(
         Prior table, the person's fits (none for a person who was not fitted), joint limits.
     neutral, normal, assisted
         pose.parquet of the neutral trial, folders of the walk_normal and walk_robot trials.
+    robot, study_robot
+        MJCF of the compliant robot and of the study's.
     published_gait, published_interface
         The paper's Tables III and II, to stand beside the figures found here.
     settings
         Slices ``twin``, ``plant`` and ``ingest``.
     """
-    learnt, coupled = load_policy(policy), settings["twin"]["coupled"]
-    own, prior = best_fit(fits), read_prior(priors)
-    conditions = conditions_of(prior, own, coupled)
-    recording, free = _walk(learnt, conditions, robot, neutral, limits, settings, threads)
-    real = _measured_cycles(normal, assisted, learnt.body)
-    sources = [policy, priors, limits, neutral, robot, *fits]
+    learnt, twin = load_policy(policy), settings["twin"]
+    prior, own = read_prior(priors), best_fit(fits)
+    walks = {"walk_normal": read_walks(normal, learnt.body), "walk_robot": read_walks(assisted, learnt.body)}
+    cap, source = cap_to_compare(walks["walk_robot"], learnt.reference.speed, twin["coupled"])
+    conditions: list[dict[str, Any]] = []
+    for machine in walking_robots(twin, robot, study_robot):
+        asked = conditions_of(prior, own, twin["coupled"], machine, cap)
+        recording = _walk(learnt, asked, machine, _interface_of(neutral, limits), settings, threads)
+        conditions += _compare(recording, asked, machine, cap, walks, settings)
     about = read_json(record, ("phantom", "seed"))
+    sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
         "phantom": about["phantom"],
         "seed": about["seed"],
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
-        "own_speed_m_per_s": learnt.reference.speed,
-        "follow": settings["twin"]["follow"],
-        "cadence_exponent": coupled["cadence_exponent"],
-        "main_cap": coupled["main_cap"],
-        **_compare(recording, free, conditions, real, assisted, settings),
+        **_settings_of(twin, learnt.reference.speed, cap, source),
+        "free": _free(learnt, twin, walks, threads),
+        "conditions": conditions,
+        "measured": _measured(walks, assisted, settings["ingest"]),
         "paper": read_paper(published_gait, published_interface),
         "policy_sha256": sha256(policy),
         "provenance": provenance(sources, PACKAGES, fingerprint(__name__)),
@@ -177,64 +203,89 @@ def twin_coupled(
     write_json(out, plain(content))
 
 
+def _settings_of(twin: TwinSettings, own_speed: float, cap: float, source: str) -> dict[str, Any]:
+    """Return the settings of the robots, and which robot and cap are compared with the measurement."""
+    return {
+        "own_speed_m_per_s": own_speed,
+        "main_cap": cap,
+        "main_cap_from": source,
+        "follow": twin["follow"],
+        "study_robot": twin["study_robot"],
+        "cadence_exponent": twin["coupled"]["cadence_exponent"],
+        "main_robot": twin["coupled"]["robots"][0],
+    }
+
+
+def _interface_of(neutral: Path, limits: Path) -> tuple[RestPose, JointLimits | None]:
+    """Return rest pose and joint limits of a person's interface."""
+    rest = read_pose(neutral)[1]["rest"]
+    return RestPose(np.array(rest["rotation"]), np.array(rest["position"])), load_limits(limits)
+
+
 def _walk(
     learnt: Policy,
     conditions: list[Condition],
-    robot: Path,
-    neutral: Path,
-    limits: Path,
+    robot: WalkingRobot,
+    interface: tuple[RestPose, JointLimits | None],
     settings: Settings,
     threads: int,
-) -> tuple[Recording, Recording]:
-    """Walk with the robot under every condition, and without it; arguments as of `twin_coupled`."""
+) -> Recording:
+    """Walk with a robot under every condition."""
     twin = settings["twin"]
-    walkers, seconds = twin["coupled"]["walkers"], twin["coupled"]["walk_s"]
-    rest = read_pose(neutral)[1]["rest"]
     walk = CoupledWalk(
         learnt,
         twin=twin,
         plant=settings["plant"],
         robot=robot,
-        rest=RestPose(np.array(rest["rotation"]), np.array(rest["position"])),
-        limits=load_limits(limits),
+        rest=interface[0],
+        limits=interface[1],
         conditions=conditions,
-        walkers=walkers,
+        walkers=twin["coupled"]["walkers"],
         threads=threads,
     )
-    recording = walk.run(seconds)
-    return recording, FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads).run(seconds)
+    return walk.run(twin["coupled"]["walk_s"])
 
 
-def _measured_cycles(normal: list[Path], assisted: list[Path], who: Body) -> dict[str, Cycles]:
+def _cycles_of(walks: dict[str, list[Walk]]) -> dict[str, Cycles]:
     """Return the cycles of the measured walks without and with the robot, of those kinds that were recorded."""
-    measured = {"walk_normal": read_walks(normal, who), "walk_robot": read_walks(assisted, who)}
-    return {name: adaptation.measured_cycles(walks) for name, walks in measured.items() if walks}
+    return {name: adaptation.measured_cycles(found) for name, found in walks.items() if found}
+
+
+def _free(learnt: Policy, twin: TwinSettings, walks: dict[str, list[Walk]], threads: int) -> dict[str, Any]:
+    """Return joints and gait of walks without a robot."""
+    coupled = twin["coupled"]
+    free = FreeWalk(learnt, twin=twin, walkers=coupled["walkers"], threads=threads).run(coupled["walk_s"])
+    real = _cycles_of(walks).get("walk_normal")
+    joints = adaptation.describe(adaptation.cycles_of(free, coupled["settle_s"]), real)
+    return {**joints, "gait": adaptation.gait_of(free, coupled["settle_s"])}
+
+
+def _measured(walks: dict[str, list[Walk]], assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
+    """Return joints, gait, cloud and wrench of the measured walks."""
+    described = {name: adaptation.describe(cycles) for name, cycles in _cycles_of(walks).items()}
+    for name, found in described.items():
+        found["gait"] = adaptation.measured_gait(walks[name])
+    return {**described, "cloud": _measured_cloud(assisted, filters), "wrench": _measured_wrench(assisted)}
 
 
 def _compare(
     recording: Recording,
-    free: Recording,
     conditions: list[Condition],
-    real: dict[str, Cycles],
-    assisted: list[Path],
+    robot: WalkingRobot,
+    main_cap: float,
+    walks: dict[str, list[Walk]],
     settings: Settings,
-) -> dict[str, Any]:
-    """Return ``free``, ``conditions`` and ``measured`` of the file: walks without robot, with it, and measured ones."""
+) -> list[dict[str, Any]]:
+    """Return what the walkers of each condition did, beside the person's own walks with the robot."""
     coupled, filters = settings["twin"]["coupled"], settings["ingest"]
     settle, walkers = coupled["settle_s"], coupled["walkers"]
-    parts = [recording.of(np.arange(k * walkers, (k + 1) * walkers)) for k in range(len(conditions))]
-    return {
-        "free": adaptation.describe(adaptation.cycles_of(free, settle), real.get("walk_normal")),
-        "conditions": [
-            _condition(part, condition, settle, real.get("walk_robot"), filters)
-            for part, condition in zip(parts, conditions, strict=True)
-        ],
-        "measured": {
-            **{name: adaptation.describe(cycles) for name, cycles in real.items()},
-            "cloud": _measured_cloud(assisted, filters),
-            "wrench": _measured_wrench(assisted),
-        },
-    }
+    real = _cycles_of(walks).get("walk_robot")
+    rows = []
+    for k, condition in enumerate(conditions):
+        part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
+        found = _condition(part, condition, settle, real, filters)
+        rows.append({**found, "robot": robot.name, "main": condition.cap == main_cap})
+    return rows
 
 
 def _condition(
@@ -257,7 +308,7 @@ def _condition(
         "walkers": len(lasting),
         "survived": int(lasting.sum()),
         "survived_s": part.survived_s.tolist(),
-        "speed_m_per_s": float(np.mean(part.base_speed[lasting][:, after])) if lasting.any() else None,
+        "gait": adaptation.gait_of(part.of(np.flatnonzero(lasting)), settle_s),
         "joints": adaptation.describe(cycles, measured),
         "cloud": adaptation.cloud(q[lasting], rate, filters["cutoff_hz"], filters["filter_order"]),
         "wrench": adaptation.forces(part.wrench[lasting][:, after]),
@@ -306,7 +357,9 @@ GAIT_COLUMNS = (
     "subject",
     "seed",
     "condition",
+    "robot",
     "cap",
+    "main",
     "joint",
     "cycles",
     "rom_deg",
@@ -323,7 +376,9 @@ CLOUD_COLUMNS = (
     "subject",
     "seed",
     "condition",
+    "robot",
     "cap",
+    "main",
     "robot_factor",
     "sigma_x_mm",
     "sigma_y_mm",
@@ -335,13 +390,37 @@ CLOUD_COLUMNS = (
     "walkers",
     "phantom",
 )
+WALK_COLUMNS = (
+    "subject",
+    "seed",
+    "condition",
+    "robot",
+    "cap",
+    "main",
+    "speed_m_per_s",
+    "stride_m",
+    "cadence_per_min",
+    "stride_speed_m_per_s",
+    "stance_slip_m_per_s",
+    "pelvis_rotation_deg",
+    "robot_speed_m_per_s",
+    "survived",
+    "walkers",
+    "phantom",
+)
 BAR_COLUMNS = ("subject", "seed", "bar", "value", "limit", "met", "phantom")
 
 
 def twin_table(
-    *, evaluations: list[Path], coupled: list[Path], out_bars: Path, out_gait: Path, out_cloud: Path
+    *,
+    evaluations: list[Path],
+    coupled: list[Path],
+    out_bars: Path,
+    out_gait: Path,
+    out_cloud: Path,
+    out_walks: Path,
 ) -> None:
-    """Write bars of every policy, gait and interface cloud of every condition, one row each.
+    """Write bars of every policy; joints, gait and interface cloud of every condition, one row each.
 
     The folder of a file names the person, ``<SUBJECT>/seed-<N>/…``.
     """
@@ -352,6 +431,7 @@ def twin_table(
     records = [(path.parent.parent.name, read_json(path, ("conditions", "measured"))) for path in coupled]
     write_table(out_gait, GAIT_COLUMNS, [row for name, r in records for row in gait_rows(name, r)])
     write_table(out_cloud, CLOUD_COLUMNS, [row for name, r in records for row in cloud_rows(name, r)])
+    write_table(out_walks, WALK_COLUMNS, [row for name, r in records for row in walk_rows(name, r)])
 
 
 def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
@@ -393,24 +473,48 @@ def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
+def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Yield the first columns of a row and what is known, of free, measured and coupled walks without factors."""
+    first = {"seed": r["seed"], "phantom": r["phantom"], "robot": "", "cap": None, "main": True}
+    yield {**first, "condition": "free"}, {"joints": r["free"], "gait": r["free"]["gait"]}
+    for name in ("walk_normal", "walk_robot"):
+        if name in r["measured"]:
+            known = r["measured"][name]
+            yield {**first, "condition": name}, {"joints": known, "gait": known["gait"]}
+    for c in r["conditions"]:
+        if not c["robot_factors"]:
+            yield {**first, **_columns_of(c, r)}, c
+
+
+def _columns_of(c: dict[str, Any], r: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns that say which condition a row is of."""
+    return {
+        "condition": c["name"],
+        "robot": c["robot"],
+        "cap": c["cap"],
+        "main": c["main"] and c["robot"] == r["main_robot"],
+        "survived": c["survived"],
+        "walkers": c["walkers"],
+    }
+
+
+def walk_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per condition: speed, stride, cadence, slip and pelvis rotation; free, coupled and measured."""
+    return [
+        {"subject": subject, "survived": None, "walkers": None, **first, **known["gait"]}
+        for first, known in _cases(r)
+    ]
+
+
 def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
     """Return one row per condition and joint: free, coupled and measured."""
     rows = []
-    measured = [
-        (name, r["measured"][name]) for name in ("walk_normal", "walk_robot") if name in r["measured"]
-    ]
-    cases: list[tuple[str, float | None, dict[str, Any], int | None, int | None, dict[str, Any] | None]] = [
-        ("free", None, r["free"], None, None, None)
-    ]
-    cases += [(name, None, joints, None, None, r["measured"].get("walk_normal")) for name, joints in measured]
-    cases += [
-        (c["name"], c["cap"], c["joints"], c["survived"], c["walkers"], r["free"])
-        for c in r["conditions"]
-        if not c["robot_factors"]
-    ]
-    for name, cap, joints, survived, walkers, base in cases:
+    for first, known in _cases(r):
+        name = first["condition"]
+        coupled = first["cap"] is not None
+        base = r["measured"].get("walk_normal") if name in r["measured"] else r["free"] if coupled else None
         for joint in SAGITTAL:
-            j = joints[joint]
+            j = known["joints"][joint]
             if not j["cycles"]:
                 continue
             change = None
@@ -419,20 +523,17 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
             rows.append(
                 {
                     "subject": subject,
-                    "seed": r["seed"],
-                    "condition": name,
-                    "cap": cap,
+                    "survived": None,
+                    "walkers": None,
+                    **first,
                     "joint": joint,
                     "cycles": j["cycles"],
                     "rom_deg": j["rom_deg"][0],
                     "rom_sd_deg": j["rom_deg"][1],
                     "rom_change_deg": change,
                     "peak_deg": j["peak_deg"][0],
-                    "r_walk_robot": j.get("r") if cap is not None else None,
+                    "r_walk_robot": j.get("r") if coupled else None,
                     "rom_paper_deg": r["paper"]["angles"].get(joint, {}).get(name, {}).get("rom_deg"),
-                    "survived": survived,
-                    "walkers": walkers,
-                    "phantom": r["phantom"],
                 }
             )
     return rows
@@ -440,28 +541,24 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
 
 def cloud_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
     """Return one row per condition and for the measured walks: spread of the interface about the pelvis."""
-    cases: list[tuple[str, float | None, str, dict[str, Any], int | None, int | None]] = [
-        ("walk_robot", None, "", r["measured"]["cloud"], None, None)
-    ]
+    measured = {"condition": "walk_robot", "robot": "", "cap": None, "main": True}
+    cases = [({**measured, "survived": None, "walkers": None}, "", r["measured"]["cloud"])]
     for c in r["conditions"]:
-        factor = " ".join(f"{axis} x{value:g}" for axis, value in c["robot_factors"].items())
-        cases.append((c["name"], c["cap"], factor, c["cloud"], c["survived"], c["walkers"]))
+        factor = " ".join(f"{constant} x{value:g}" for constant, value in c["robot_factors"].items())
+        cases.append((_columns_of(c, r), factor, c["cloud"]))
     rows = []
-    for name, cap, factor, cloud, survived, walkers in cases:
+    for first, factor, cloud in cases:
         sigma = cloud.get("sigma_mm", [None] * 3)
         rows.append(
             {
                 "subject": subject,
                 "seed": r["seed"],
-                "condition": name,
-                "cap": cap,
+                **first,
                 "robot_factor": factor,
                 **dict(zip(("sigma_x_mm", "sigma_y_mm", "sigma_z_mm"), sigma, strict=True)),
                 "gamma": cloud.get("gamma"),
                 "ellipse_area_mm2": cloud.get("ellipse", {}).get("area_mm2"),
-                "gamma_paper": r["paper"]["cloud"].get(name, {}).get("gamma"),
-                "survived": survived,
-                "walkers": walkers,
+                "gamma_paper": r["paper"]["cloud"].get(first["condition"], {}).get("gamma"),
                 "phantom": r["phantom"],
             }
         )

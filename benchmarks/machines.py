@@ -74,18 +74,23 @@ def _moved(table: pd.DataFrame, at: pd.Series) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Effect:
-    """A known effect in what was measured: names that are right, how it is injected, and three sizes."""
+    """A known effect in what was measured: names that are right, how it is injected, and three sizes.
+
+    ``parameter`` is the constant of the cause that has the size, times ``unit``; empty where none has.
+    """
 
     names: tuple[str, ...]
     inject: Callable[[pd.DataFrame, float], pd.DataFrame]
     sizes: tuple[float, float, float]
+    parameter: str = ""
+    unit: float = 1.0
 
 
 EFFECTS = {
-    "delay": Effect(("sync_offset",), late, (5e-4, 2e-3, 5e-3)),
-    "clock_drift": Effect(("clock_drift",), drifting, (500.0, 2000.0, 5000.0)),
+    "delay": Effect(("sync_offset",), late, (5e-4, 2e-3, 5e-3), "offset"),
+    "clock_drift": Effect(("clock_drift",), drifting, (500.0, 2000.0, 5000.0), "drift", 1e-6),
     "outliers": Effect(("outliers",), jumping, (0.003, 0.01, 0.03)),
-    "filter": Effect(("filter_lag",), filtered, (400.0, 150.0, 60.0)),
+    "filter": Effect(("filter_lag",), filtered, (400.0, 150.0, 60.0), "cutoff"),
 }
 
 
@@ -124,7 +129,17 @@ def on_silverbox(data: Path, pair: tuple[str, str], effect: str, size: float) ->
         "answer": " + ".join(answer.answer.verdict_set),
         "probability": round(answer.probabilities[answer.verdict], 3),
         "right": any(name in right for name in answer.answer.verdict_set),
+        "size_off": size_off(answer, EFFECTS[effect], size) if effect else None,
     }
+
+
+def size_off(answer: r2s.Diagnosis, effect: Effect, size: float) -> float | None:
+    """Return how far the size of the injected effect is off, as a share; None where its cause is not in the answer."""
+    for cause in answer.answer.causes:
+        for name, value in cause.parameters.items():
+            if cause.effect in effect.names and name.split(" ")[0].startswith(effect.parameter or "-"):
+                return round(value["value"] / (size * effect.unit) - 1, 3)
+    return None
 
 
 def without_its_name(data: Path, name: str, question: str) -> dict[str, object]:
@@ -182,6 +197,11 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(options.out / f"machines_{options.what}.csv", index=False)
     print(f"right: {int(table['right'].sum())} of {len(table)} ({100 * table['right'].mean():.1f} %)")
+    if options.what == "injected":
+        sized = table["size_off"].dropna()
+        print(
+            f"size within 20 %: {int((sized.abs() <= 0.2).sum())} of {len(sized)} that are named and have one"
+        )
 
 
 if __name__ == "__main__":

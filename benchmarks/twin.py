@@ -32,7 +32,7 @@ from real2sim.geometry import rotation_xyz
 from real2sim.study.twin import adaptation
 from real2sim.study.twin.coupled import Condition, CoupledWalk, FreeWalk, Recording
 from real2sim.study.twin.evaluate import plain
-from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference, make_reference
+from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference, make_reference, with_speeds
 from real2sim.study.twin.human import Body
 from real2sim.study.twin.policy import Policy, load_policy, save_policy
 from real2sim.study.twin.stage import (
@@ -75,9 +75,11 @@ def reference_of(who: Body, study: dict, phantom: dict) -> Reference:
     """Gait of a body at the phantom's cadence, speed by the length of the legs."""
     speed = SPEED_OF_175 * who.height_m / 1.75
     settings = study["twin"]
-    return make_reference(
+    made = make_reference(
         measured_curves(phantom), STRIDE_S, speed, who, settings["human"], settings["reference"]
     )
+    # the phantom keeps its cadence
+    return with_speeds(made, who, settings["human"], settings["reference"], 0.0)
 
 
 def trained(
@@ -172,6 +174,7 @@ def figures_of(part: Recording, condition: Condition, alone: dict, settle_s: flo
     return {
         "name": condition.name,
         "cap": condition.cap,
+        "aware": condition.aware,
         "factors": dict(condition.factors),
         "survived": float(part.alive.mean()),
         "cycles": about["hip_flexion"]["cycles"],
@@ -201,8 +204,8 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
                 f"slip {g['stance_slip_m_per_s']:.3f} m/s"
             )
         print(
-            f"    {r['robot']:9s} {r['name']:6s} cap {r['cap']:.2f} {factor:16s} survived {100 * r['survived']:3.0f} %,"
-            f" {r['cycles']:3d} cycles, {gait}, change of RoM {change} deg, {spread}"
+            f"    {r['robot']:9s} {'aware' if r['aware'] else 'fixed'} {r['name']:6s} cap {r['cap']:.2f} {factor:16s}"
+            f" survived {100 * r['survived']:3.0f} %, {r['cycles']:3d} cycles, {gait}, change of RoM {change} deg, {spread}"
         )
     paper = read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv")
     angles = [paper["angles"][joint] for joint in SAGITTAL]
@@ -212,7 +215,7 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
     plain_rows = [r for r in rows if not r["factors"]]
     bars: list[tuple[str, object, object, bool]] = []
     for r in plain_rows:
-        where = f"{r['robot']} {r['name']} cap {r['cap']:g}"
+        where = f"{r['robot']} {'aware' if r['aware'] else 'fixed'} {r['name']} cap {r['cap']:g}"
         bars.append((f"survived {where}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL))
         if g := r["gait"]:
             slip, off = g["stance_slip_m_per_s"], g["stride_speed_m_per_s"] / g["speed_m_per_s"] - 1
@@ -220,15 +223,15 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
             bars.append((f"stride x cadence against speed {where}", off, STRIDE_OFF, abs(off) <= STRIDE_OFF))
         if r["name"] == "prior" and r["cap"] <= 0.95:
             hip = r["change"]["hip_flexion"]
-            bars.append(
-                (f"hip RoM change, {r['robot']} prior cap {r['cap']:g}", hip, 0, hip is not None and hip < 0)
-            )
-    for robot in dict.fromkeys(r["robot"] for r in plain_rows):
-        here = [r for r in plain_rows if r["robot"] == robot and r["cap"] == main_cap]
+            bars.append((f"hip RoM change {where}", hip, 0, hip is not None and hip < 0))
+    for robot, aware in dict.fromkeys((r["robot"], r["aware"]) for r in plain_rows):
+        here = [r for r in plain_rows if (r["robot"], r["aware"], r["cap"]) == (robot, aware, main_cap)]
         area = {r["name"]: r["cloud"].get("ellipse", {}).get("area_mm2", np.nan) for r in here}
         ordered = bool(area["soft"] > area["prior"] > area["stiff"])
         text = " > ".join(f"{name} {value:.0f}" for name, value in area.items())
-        bars.append((f"{robot} 95 % ellipse [mm2] {text}", ordered, True, ordered))
+        bars.append(
+            (f"{robot} {'aware' if aware else 'fixed'} 95 % ellipse [mm2] {text}", ordered, True, ordered)
+        )
     return bars
 
 

@@ -274,6 +274,7 @@ def test_free_walkers_are_recorded_in_the_same_way():
 def test_conditions_and_own_parameters(tmp_path):
     coupled = STUDY["twin"]["coupled"]
     both = {**coupled, "robots": ["compliant", "study"]}
+    coupled = {**coupled, "gaits": ["fixed"]}
     compliant, study = walking_robots({**STUDY["twin"], "coupled": both}, ROBOT, STUDY_ROBOT)
     conditions = conditions_of(PRIOR, None, coupled, compliant, 0.9)
     assert {c.name for c in conditions} == {"soft", "prior", "stiff"}
@@ -283,6 +284,9 @@ def test_conditions_and_own_parameters(tmp_path):
     of_study = conditions_of(PRIOR, None, coupled, study, 0.77)
     assert sum(not c.factors for c in of_study) == 3 * 4
     assert {c.cap for c in of_study if c.factors} == {0.77}
+    twice = conditions_of(PRIOR, None, {**coupled, "gaits": ["aware", "fixed"]}, study, 0.77)
+    assert [sum(c.aware is aware and not c.factors for c in twice) for aware in (True, False)] == [12, 12]
+    assert all(c.aware for c in twice if c.factors)
     files = []
     for trial, factor, cost in (("dynamic_1", 2.0, 0.1), ("dynamic_1", 9.0, 0.3), ("dynamic_2", 8.0, 0.2)):
         files.append(tmp_path / f"{len(files)}.json")
@@ -298,7 +302,7 @@ def _record() -> dict:
     about = adaptation.describe(cycles, cycles)
     cloud = adaptation.cloud(_steady(np.array([0.003, 0.009, 0.002])).interface, 125.0, 12.0, 4)
     gait = adaptation.gait_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
-    place = {"robot": "study", "main": True, "cap": 0.9, "robot_factors": {}}
+    place = {"robot": "study", "aware": False, "main": True, "cap": 0.9, "robot_factors": {}}
     case = {**place, "walkers": 8, "survived": 8, "joints": about, "cloud": cloud, "gait": gait}
     none = {
         **place,
@@ -315,6 +319,7 @@ def _record() -> dict:
         "main_robot": "study",
         "paper": read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv"),
         "free": {**about, "gait": gait},
+        "free_at_speeds": [{"share": 0.9, "joints": about, "gait": gait}],
         "conditions": [
             {"name": "prior", **case},
             {"name": "stiff", **none},
@@ -344,7 +349,14 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
         "main"
     ]
     walks = walk_rows("S06", record)
-    assert [row["condition"] for row in walks] == ["free", "walk_normal", "walk_robot", "prior", "stiff"]
+    assert [row["condition"] for row in walks] == [
+        "free",
+        "free",
+        "walk_normal",
+        "walk_robot",
+        "prior",
+        "stiff",
+    ]
     assert "speed_m_per_s" not in walks[-1]
     clouds = cloud_rows("S06", record)
     assert [row["robot_factor"] for row in clouds] == ["", "", "", "roll x3"]

@@ -772,6 +772,16 @@ TwinReferenceWeightsSettings = TypedDict(
     },
 )
 
+TwinReferenceSpeedsSettings = TypedDict(
+    "TwinReferenceSpeedsSettings",
+    {
+        "shares": list[float],
+        "speed_m_per_s": float,
+        "cadence_from": str,
+        "cadence_exponent": float,
+    },
+)
+
 TwinReferenceSettings = TypedDict(
     "TwinReferenceSettings",
     {
@@ -790,6 +800,7 @@ TwinReferenceSettings = TypedDict(
         "arm_abduction_deg": float,
         "elbow_deg": float,
         "iterations": int,
+        "speeds": TwinReferenceSpeedsSettings,
     },
 )
 
@@ -812,6 +823,18 @@ TwinTrainingPushSettings = TypedDict(
         "every_s": list[float],
         "lasts_s": list[float],
         "sustained": TwinTrainingPushSustainedSettings,
+    },
+)
+
+TwinTrainingSpeedsSettings = TypedDict(
+    "TwinTrainingSpeedsSettings",
+    {
+        "range": list[float],
+        "own": float,
+        "held_knows": float,
+        "lead": list[float],
+        "changes": float,
+        "rate_per_s": float,
     },
 )
 
@@ -923,6 +946,7 @@ TwinTrainingSettings = TypedDict(
         "reward_scale": float,
         "report_s": float,
         "push": TwinTrainingPushSettings,
+        "speeds": TwinTrainingSpeedsSettings,
         "hold": TwinTrainingHoldSettings,
         "reward": TwinTrainingRewardSettings,
         "ppo": TwinTrainingPpoSettings,
@@ -1107,6 +1131,9 @@ TwinCoupledSettings = TypedDict(
         "stiff": TwinCoupledStiffSettings,
         "sensitivity": list[float],
         "study_sensitivity": list[float],
+        "gaits": list[str],
+        "lead": float,
+        "speed_sense_s": float,
         "cadence_exponent": float,
     },
 )

@@ -285,6 +285,11 @@ def given(**options):
     return [part for name, path in options.items() if path for part in (f"--{name}", path)]
 
 
+def given_all(name, paths):
+    """Option of a command that takes any number of paths, where there is one."""
+    return [f"--{name}", *paths] if paths else []
+
+
 def no_such_person(wildcards):
     """The error for a name that nobody bears."""
     raise WorkflowError(

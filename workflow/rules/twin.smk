@@ -57,7 +57,7 @@ rule twin_reference:
     """From the walk_normal trials to a gait that the model can walk, and what had to be changed."""
     input:
         person=lambda wildcards: str(PEOPLE[wildcards.subject].folder / "subject.yaml"),
-        tables=lambda wildcards: walk_tables(wildcards.subject, "walk_normal"),
+        tables=lambda wildcards: walk_tables(wildcards.subject, "walk_normal", "walk_robot"),
         lock="environment-lock.txt",
     output:
         gait="results/twin/{subject}/reference.npz",
@@ -74,11 +74,12 @@ rule twin_reference:
         runtime=10,
     params:
         walks=lambda wildcards: folders_of(wildcards.subject, "walk_normal"),
+        assisted=lambda wildcards: given_all("assisted", folders_of(wildcards.subject, "walk_robot")),
         settings=twin_settings("human", "reference"),
         content=lambda wildcards: subject_content(wildcards.subject),
         code=code("twin-reference"),
     shell:
-        "python -m real2sim twin-reference --person {input.person:q} --walks {params.walks:q}"
+        "python -m real2sim twin-reference --person {input.person:q} --walks {params.walks:q} {params.assisted:q}"
         " --settings {params.settings:q} --out {output.gait:q} --report {output.report:q} 2>&1 | tee {log:q}"
 
 

@@ -36,7 +36,8 @@ def _main_conditions(record: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _robot(record: dict[str, Any]) -> str:
     """Return which robot is drawn, and how fast it goes."""
-    return f"{record['main_robot']} robot, at most {record['main_cap']:.2g} of the walking speed"
+    aware = "aware" if _main_conditions(record)[0]["aware"] else "fixed"
+    return f"{record['main_robot']} robot at {record['main_cap']:.2g} of the walking speed, {aware} gait"
 
 
 def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
@@ -65,7 +66,9 @@ def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed:
 
 def _records(coupled: list[Path]) -> list[dict[str, Any]]:
     return [
-        read_json(path, ("conditions", "measured", "free", "main_cap", "main_robot", "phantom"))
+        read_json(
+            path, ("conditions", "measured", "free", "free_at_speeds", "main_cap", "main_robot", "phantom")
+        )
         for path in coupled
     ]
 
@@ -174,7 +177,8 @@ _MARKS = {"study": "o", "compliant": "s"}
 def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
     """Change of the ranges of motion of hip and knee against the change of speed, measured and simulated.
 
-    ``coupled`` are a person's coupled.json, one per seed; every condition of every seed is a point.
+    ``coupled`` are a person's coupled.json, one per seed; every condition of every seed is a point, filled where the
+    person takes up the speed that the robot allows.
     """
     records = _records(coupled)
     with matplotlib.rc_context(style.RC):
@@ -190,11 +194,20 @@ def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
             Line2D([], [], color=style.BLACK, marker=m, mfc="none", linestyle="", label=f"{n} robot")
             for n, m in _MARKS.items()
         ]
+        handles.append(Line2D([], [], color=style.BLACK, linewidth=0.8, label="no robot, slower"))
         handles.append(
             Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
         )
         figure.legend(handles=handles, loc="outside upper center", ncols=4)
         style.save(figure, out)
+
+
+def _change(
+    gait: dict[str, Any], angle: dict[str, Any], base: dict[str, Any], joint: str
+) -> tuple[float, float]:
+    """Return the change of speed [%] and of a joint's range of motion [deg] against a walk without a robot."""
+    speed = 100 * (gait["speed_m_per_s"] / base["gait"]["speed_m_per_s"] - 1)
+    return speed, angle["rom_deg"][0] - base[joint]["rom_deg"][0]
 
 
 def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> None:
@@ -204,15 +217,18 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
         for c in record["conditions"]:
             if c["robot_factors"] or not c["joints"][joint].get("cycles") or not c["gait"]:
                 continue
-            speed = 100 * (c["gait"]["speed_m_per_s"] / free["gait"]["speed_m_per_s"] - 1)
-            change = c["joints"][joint]["rom_deg"][0] - free[joint]["rom_deg"][0]
+            speed, change = _change(c["gait"], c["joints"][joint], free, joint)
             colour, mark = CONDITIONS[c["name"]], _MARKS[c["robot"]]
-            axes.plot(speed, change, mark, color=colour, markersize=3.5, mfc="none", markeredgewidth=0.8)
+            face = colour if c["aware"] else "none"
+            axes.plot(speed, change, mark, color=colour, markersize=3.5, mfc=face, markeredgewidth=0.8)
+        slower = [s for s in record["free_at_speeds"] if s["gait"] and s["joints"][joint].get("cycles")]
+        line = [(0.0, 0.0)] + [_change(s["gait"], s["joints"][joint], free, joint) for s in slower]
+        axes.plot(*np.array(sorted(line)).T, "-", color=style.BLACK, linewidth=0.8, zorder=1)
     measured = records[0]["measured"]
     if "walk_normal" in measured and "walk_robot" in measured:
         plain, assisted = measured["walk_normal"], measured["walk_robot"]
-        speed = 100 * (assisted["gait"]["speed_m_per_s"] / plain["gait"]["speed_m_per_s"] - 1)
-        change = assisted[joint]["rom_deg"][0] - plain[joint]["rom_deg"][0]
-        axes.plot(speed, change, "*", color=style.BLUE, markersize=9)
+        axes.plot(
+            *_change(assisted["gait"], assisted[joint], plain, joint), "*", color=style.BLUE, markersize=9
+        )
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)

@@ -9,7 +9,7 @@ root coordinates are those of robot and strap.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -108,13 +108,15 @@ def add_gait_sensors(spec: mujoco.MjSpec) -> None:
 class Condition:
     """One way of coupling: strap parameters (12,), speed cap as a share of the person's speed, robot's factors.
 
-    ``factors`` multiply constants of the robot by name (`WalkingRobot.constants`).
+    ``factors`` multiply constants of the robot by name (`WalkingRobot.constants`). An ``aware`` person takes up the
+    speed that the robot allows; another one means to walk at their own.
     """
 
     name: str
     parameters: np.ndarray
     cap: float
     factors: tuple[tuple[str, float], ...] = ()
+    aware: bool = False
 
 
 @dataclass
@@ -168,6 +170,8 @@ class _Walkers:
         self._q = np.array([model.joint(j).qposadr[0] for j in JOINTS])
         self._v = np.array([model.joint(j).dofadr[0] for j in JOINTS])
         self._servos = np.array([model.actuator(j).id for j in JOINTS])
+        # speed that each means to walk at, as a share of their own; 1 where the reference knows one speed alone
+        self._share: np.ndarray | float = 1.0
         self._strap = np.empty(0, int)
         self._base: int | None = None
 
@@ -220,7 +224,7 @@ class _Walkers:
             at = slice(k * per, (k + 1) * per)
             for name, values in self._recorded(record, first).items():
                 kept[name][alive, at] = values[alive, stride - 1 :: stride]
-            phase = np.mod(phase + cadence * self.control_s / reference.stride_s, 1.0)
+            phase = np.mod(phase + cadence * self.control_s / reference.stride_at(self._share), 1.0)
             batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         return self._recording(kept, alive, survived, stride)
 
@@ -236,12 +240,12 @@ class _Walkers:
         """Write the commands of servos and robot into ``control`` (n, nu); return the factor on the clock."""
         policy, reference = self.policy, self.policy.reference
         cadence = self._cadence()
-        obs, mirrored = observe(
-            reference, phase, root, qpos[:, self._q], qvel[:, self._v], np.zeros(self.n), cadence
-        )
+        share = self._share
+        joints, rates = qpos[:, self._q], qvel[:, self._v]
+        obs, mirrored = observe(reference, phase, root, joints, rates, np.zeros(self.n), cadence, share)
         correction = correction_of(np.clip(policy(obs), -1.5, 1.5), mirrored)
         control[:, self._servos] = servo_target(
-            reference, phase, self.control_s, self.kp, correction, cadence
+            reference, phase, self.control_s, self.kp, correction, cadence, share
         )
         self._command_robot(root, control)
         return cadence
@@ -298,15 +302,34 @@ class _Walkers:
 
 
 class FreeWalk(_Walkers):
-    """The same people without a robot, recorded in the same way."""
+    """The same people without a robot, recorded in the same way.
 
-    def __init__(self, policy: Policy, *, twin: TwinSettings, walkers: int, threads: int = 1):
+    ``walkers`` of them mean to walk at each of ``shares`` of their own speed, one after the other in the recording.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        twin: TwinSettings,
+        walkers: int,
+        threads: int = 1,
+        shares: Sequence[float] = (1.0,),
+    ):
+        if policy.reference.speeds is None and set(shares) != {1.0}:
+            raise ValueError("a policy whose reference knows one speed alone cannot walk at another")
         spec = human_spec(policy.body, twin["human"])
         add_gait_sensors(spec)
-        super().__init__(policy, spec.compile(), twin, walkers, threads)
+        super().__init__(policy, spec.compile(), twin, len(shares) * walkers, threads)
+        self._walkers = walkers
+        if policy.reference.speeds is not None:
+            self._share = np.repeat(shares, walkers)
+
+    def _phases(self) -> np.ndarray:
+        return np.tile(np.arange(self._walkers) / self._walkers, self.n // self._walkers)
 
     def _start(self, phase: np.ndarray) -> None:
-        qpos, qvel, _ = self.policy.reference.at(phase)
+        qpos, qvel, _ = self.policy.reference.at(phase, self._share)
         self.batch.bind("qpos")[:], self.batch.bind("qvel")[:] = qpos, qvel
 
 
@@ -345,13 +368,20 @@ class CoupledWalk(_Walkers):
         model = compiled(spec, robot.path)
         super().__init__(policy, model, twin, len(conditions) * walkers, threads)
         self.robot, self.conditions, self.walkers, self.rest = robot, conditions, walkers, rest
-        self.cadence_exponent = twin["coupled"]["cadence_exponent"]
+        self._coupled = twin["coupled"]
+        self._aware = np.repeat([c.aware for c in conditions], walkers)
+        if self._aware.any() and policy.reference.speeds is None:
+            raise ValueError("a policy whose reference knows one speed alone cannot be aware of another")
         # every joint of robot, strap and person has one coordinate: its place in qpos is that in qvel
         self._robot = np.array([model.joint(j).dofadr[0] for j in robot.joints])
         self._drives = np.array([model.actuator(name).id for name in robot.commands])
         self._strap = np.array([model.joint(j).dofadr[0] for j in STRAP_JOINTS])
         self._base = int(self._robot[0])
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
+        if policy.reference.speeds is not None:
+            self._share = np.where(
+                self._aware, np.minimum(1.0, np.repeat([c.cap for c in conditions], walkers)), 1.0
+            )
         robot.bind(model, self.batch, self.cap)
         self._set_conditions()
 
@@ -378,7 +408,7 @@ class CoupledWalk(_Walkers):
         """Start everyone in the reference's state at their phase, the robot where it is while standing, at its cap."""
         model, data = self.model, mujoco.MjData(self.model)
         who, reference = self.policy.body, self.policy.reference
-        qpos, qvel, _ = reference.at(phase)
+        qpos, qvel, _ = reference.at(phase, self._share)
         turned = rotations(qpos[:, 3:7])
         site = model.site("human_root").id
         jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
@@ -407,18 +437,27 @@ class CoupledWalk(_Walkers):
             position[i], velocity[i] = data.qpos, data.qvel
         self.robot.start(reference.speed)
         self._base_speed = velocity[:, self._base].copy()
+        self._felt = velocity[:, self._base].copy()
 
     def _command_robot(self, root: RootState, control: np.ndarray) -> None:
-        """Write the robot's commands into ``control``."""
+        """Write the robot's commands into ``control``, and let the aware take up its speed."""
         control[:, self._drives] = self.robot.command(root, self.control_s)
+        if not self._aware.any():
+            return
+        robot = self.batch.bind("qvel")[:, self._base]
+        self._felt += (robot - self._felt) * min(1.0, self.control_s / self._coupled["speed_sense_s"])
+        wanted = np.minimum(1.0, (1 + self._coupled["lead"]) * self._felt / self.policy.reference.speed)
+        self._share = np.where(self._aware, wanted, 1.0)
 
     def _cadence(self) -> np.ndarray | float:
-        if not self.cadence_exponent:
+        exponent = self._coupled["cadence_exponent"]
+        if not exponent:
             return 1.0
         speed = self.batch.bind("qvel")[:, self._base]
         self._base_speed += (speed - self._base_speed) * self.control_s / _CADENCE_FILTER_S
         share = self._base_speed / self.policy.reference.speed
-        return np.asarray(np.clip(share, 0.5, 1.2) ** self.cadence_exponent)
+        # whoever is aware has a cadence of each speed already
+        return np.where(self._aware, 1.0, np.clip(share, 0.5, 1.2) ** exponent)
 
 
 def _yaw(quaternion: np.ndarray) -> np.ndarray:

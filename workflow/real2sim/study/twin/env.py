@@ -34,13 +34,15 @@ if TYPE_CHECKING:
         TwinTrainingHoldSettings,
         TwinTrainingHoldStopsSettings,
         TwinTrainingSettings,
+        TwinTrainingSpeedsSettings,
     )
 
 ACTIONS = len(COMMANDED)
 OBSERVATIONS = 16 + 2 * ACTIONS
 _MIRROR = MIRROR[:ACTIONS]
 _SIGN = MIRROR_SIGN[:ACTIONS]
-# sin and cos of the phase; root: vz error, vx error, vy error, z error, roll, pitch, angular velocity, yaw, y error
+# sin and cos of the phase; root: vz error, vx error, vy error, z error, roll, pitch, angular velocity, yaw, y error;
+# share of the own speed
 _ROOT_SIGN = np.array([1.0, 1, 1, 1, 1, 1, -1, 1, -1, 1, -1, 1, -1, -1, -1, 1])
 # Largest correction of a servo's target [rad]
 _SCALE = {
@@ -74,13 +76,16 @@ def servo_target(
     kp: np.ndarray,
     correction: np.ndarray,
     cadence: np.ndarray | float = 1.0,
+    share: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Targets (m, 21) [rad] held over a control step that starts at ``phase`` (m,).
 
     The reference half a step ahead, its velocity times the servo's lead, the torque it needs per gain, and the
-    policy's ``correction`` (m, 13) [rad] of legs and trunk. ``cadence`` is the clock's own speed, 1 or (m,).
+    policy's ``correction`` (m, 13) [rad] of legs and trunk. ``cadence`` is the clock's own speed, ``share`` the
+    reference's speed as a share of the person's own, 1 or (m,) both.
     """
-    qpos, qvel, torque = reference.at(phase + 0.5 * cadence * control_s / reference.stride_s)
+    ahead = 0.5 * cadence * control_s / reference.stride_at(share)
+    qpos, qvel, torque = reference.at(phase + ahead, share)
     target = qpos[:, 7:] + servo_lead_s() * np.reshape(cadence, (-1, 1)) * qvel[:, 6:] + torque / kp
     target[:, :ACTIONS] += correction
     return np.asarray(target)
@@ -125,13 +130,14 @@ def observe(
     qd: np.ndarray,
     lane_y: np.ndarray,
     cadence: np.ndarray | float = 1.0,
+    share: np.ndarray | float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the policy sees (m, OBSERVATIONS), mirrored in the second half of the cycle, and where it was (m,).
 
     ``q``, ``qd`` (m, 21) joint angles and rates; ``lane_y`` (m,) [m] where the person means to walk; ``cadence`` is
-    the clock's own speed, 1 or (m,).
+    the clock's own speed, ``share`` the speed that the person means to walk at as a share of their own, 1 or (m,) both.
     """
-    ref_q, ref_v, _ = reference.at(phase)
+    ref_q, ref_v, _ = reference.at(phase, share)
     ref_v = ref_v * np.reshape(cadence, (-1, 1))
     turn = 2 * np.pi * phase
     mirrored = np.mod(phase, 1.0) >= 0.5
@@ -152,7 +158,7 @@ def observe(
             root.spin,
             yaw,
             y_error,
-            np.ones(len(phase)),
+            np.broadcast_to(share, len(phase)),
         ]
     )
     joints = q[:, :ACTIONS] - ref_q[:, 7 : 7 + ACTIONS]
@@ -277,6 +283,10 @@ class WalkEnv:
         self._weights = np.array([_WEIGHT.get(base_name(j), 0.7) for j in COMMANDED])
         self._height = float(reference.qpos[:, 2].mean())
         self.mirrored = np.zeros(nsim, bool)
+        # speed that each means to walk at, as a share of their own, and where it goes to; alike for all without `vary`
+        self.share, self.share_goal = np.ones(nsim), np.ones(nsim)
+        self._speeds: TwinTrainingSpeedsSettings | None = None
+        self._held_share = np.full(nsim, np.nan)
 
     def hold(self, settings: TwinTrainingHoldSettings) -> None:
         """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
@@ -298,15 +308,48 @@ class WalkEnv:
         # a damper about a moving frame is a damper about the world and a constant force
         speed = self.reference.speed * self._between(settings["speed"], n)
         self._drag = damping[:, 0] * speed
+        self._held_share[held] = speed[held] / self.reference.speed
         loose = ~held & (drawn < settings["share"] + settings["stops"]["share"])
         if loose.any():
+            self._held_share[loose] = speed[loose] / self.reference.speed
             self.stops = Stops(np.flatnonzero(loose), speed[loose], settings["stops"], self.control_s)
+
+    def vary(self, settings: TwinTrainingSpeedsSettings) -> None:
+        """Let everybody mean to walk at a speed of their own; ``settings`` is ``twin.training.speeds``.
+
+        Call it after `hold`: whoever is held knows the speed of what holds them in a share of the episodes.
+        """
+        if self.reference.speeds is None:
+            raise ValueError("the reference knows one speed alone")
+        known = self.reference.speeds.shares
+        low, high = settings["range"]
+        self._speeds = {**settings, "range": [max(low, float(known[0])), min(high, float(known[-1]))]}
+
+    def _draw_speeds(self, ids: np.ndarray) -> None:
+        """Draw the speed at the start of an episode and the one that it goes over to."""
+        if self._speeds is None:
+            return
+        s, n, rng = self._speeds, len(ids), self.rng
+        drawn = np.where(rng.uniform(size=n) < s["own"], 1.0, self._between(s["range"], n))
+        held = self._held_share[ids] * self._between(s["lead"], n)
+        knows = np.isfinite(held) & (rng.uniform(size=n) < s["held_knows"])
+        drawn = np.where(knows, held, drawn)
+        self.share[ids] = np.clip(drawn, s["range"][0], s["range"][1])
+        other = (rng.uniform(size=n) < s["changes"]) & ~knows
+        self.share_goal[ids] = np.where(other, self._between(s["range"], n), self.share[ids])
+
+    @property
+    def _now(self) -> np.ndarray | float:
+        """Shares (nsim,), or 1 where everybody walks at the own speed."""
+        return 1.0 if self._speeds is None else self.share
 
     def reset(self, ids: np.ndarray, noise: float = 1.0, phase: np.ndarray | None = None) -> None:
         """Start simulations ``ids`` at a phase of the reference (random without one), with or without noise."""
         n, rng = len(ids), self.rng
         self.phase[ids] = rng.uniform(0, 1, n) if phase is None else phase
-        qpos, qvel, _ = self.reference.at(self.phase[ids])
+        self._draw_speeds(ids)
+        now = self._now if self._speeds is None else self.share[ids]
+        qpos, qvel, _ = self.reference.at(self.phase[ids], now)
         qpos, qvel = qpos.copy(), qvel.copy()
         if noise:
             qpos[:, 7:] += noise * 0.03 * rng.standard_normal((n, qpos.shape[1] - 7))
@@ -339,7 +382,13 @@ class WalkEnv:
     def observation(self) -> np.ndarray:
         """What the policy sees now (nsim, OBSERVATIONS)."""
         obs, self.mirrored = observe(
-            self.reference, self.phase, self.root(), self._qpos[:, 7:], self._qvel[:, 6:], self.lane_y
+            self.reference,
+            self.phase,
+            self.root(),
+            self._qpos[:, 7:],
+            self._qvel[:, 6:],
+            self.lane_y,
+            share=self._now,
         )
         return obs
 
@@ -377,7 +426,7 @@ class WalkEnv:
     def command(self, action: np.ndarray) -> np.ndarray:
         """Servo targets (nsim, 21) [rad] for actions (nsim, 13)."""
         correction = correction_of(np.clip(action, -1.5, 1.5), self.mirrored)
-        return servo_target(self.reference, self.phase, self.control_s, self.kp, correction)
+        return servo_target(self.reference, self.phase, self.control_s, self.kp, correction, share=self._now)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Act for a control step; returns reward (nsim,) and whether each fell or left its lane (nsim,)."""
@@ -386,12 +435,19 @@ class WalkEnv:
         self._apply_forces()
         self._ctrl[:] = self.command(action)
         self.batch.step(nstep=self.substeps)
-        self.phase = np.mod(self.phase + self.control_s / self.reference.stride_s, 1.0)
-        self.age += 1
+        self.advance()
         reward = self._reward(action)
         self._last = action.copy()
         fallen = self.fallen() | self.off_lane()
         return np.where(fallen, reward - 1.0, reward), fallen
+
+    def advance(self) -> None:
+        """Let a control step pass: clock, age, and the speed that goes over to another."""
+        self.phase = np.mod(self.phase + self.control_s / self.reference.stride_at(self._now), 1.0)
+        self.age += 1
+        if self._speeds is not None:
+            most = self._speeds["rate_per_s"] * self.control_s
+            self.share += np.clip(self.share_goal - self.share, -most, most)
 
     def fallen(self) -> np.ndarray:
         """Who lies, or hangs (nsim,): pelvis below three quarters of its height or inclined beyond 33 degrees."""
@@ -410,7 +466,7 @@ class WalkEnv:
 
     def _reward(self, action: np.ndarray) -> np.ndarray:
         w = self.settings["reward"]
-        ref_q, ref_v, _ = self.reference.at(self.phase)
+        ref_q, ref_v, _ = self.reference.at(self.phase, self._now)
         root = self.root()
         dq = self._qpos[:, 7 : 7 + ACTIONS] - ref_q[:, 7 : 7 + ACTIONS]
         dqd = self._qvel[:, 6 : 6 + ACTIONS] - ref_v[:, 6 : 6 + ACTIONS]

@@ -64,8 +64,7 @@ def free_walk(env: WalkEnv, act: Act, *, seconds: float, settle_s: float) -> dic
             np.repeat(control[:, None], env.substeps, axis=1),
             record=("qfrc_constraint", "actuator_force"),
         )
-        env.phase = np.mod(env.phase + env.control_s / env.reference.stride_s, 1.0)
-        env.age += 1
+        env.advance()
         gone = alive & env.fallen()
         left_lane |= alive & env.off_lane()
         out_at[gone] = k * env.control_s

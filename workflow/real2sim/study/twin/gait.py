@@ -13,7 +13,7 @@ away is reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,12 +27,18 @@ from real2sim.errors import InputError
 from real2sim.study.twin.human import FEET, JOINTS, Body, human_spec, pelvis_rotation
 
 if TYPE_CHECKING:
-    from real2sim.settings import TwinHumanSettings, TwinReferenceSettings
+    from real2sim.settings import (
+        TwinHumanSettings,
+        TwinReferenceSettings,
+        TwinReferenceWeightsSettings,
+    )
 
 PHASES = 48  # samples of a reference cycle
 LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle")
 PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
 SAGITTAL = ("hip_flexion", "knee_angle", "ankle_angle")
+# Speeds of a reference that are nearer than this are the same [share of the own speed]
+_LEAST_APART = 0.01
 _STEADY = 0.92  # share of the fastest stride's speed from which a stride counts as steady
 
 
@@ -221,12 +227,26 @@ def pooled_strides(walks: list[Walk], name: str, side: str, strike_side: str | N
 # -------------------- the reference
 
 
+@dataclass(frozen=True)
+class Speeds:
+    """The same person's gait at k other speeds, in rising order.
+
+    ``shares`` (k,) of the own speed, which is among them; ``table`` (k, PHASES, 76): positions, velocities and torques
+    as in `Reference`; ``stride_s`` (k,).
+    """
+
+    shares: np.ndarray
+    table: np.ndarray
+    stride_s: np.ndarray
+
+
 @dataclass
 class Reference:
     """A periodic gait of the model, at `PHASES` phases from right heel strike.
 
     ``qpos`` (PHASES, 28) without the progress v t, ``qvel`` (PHASES, 27) with it; ``torque`` (PHASES, 21) [Nm] are the
-    joint torques that the motion needs; ``stride_s``, ``speed`` [m/s].
+    joint torques that the motion needs; ``stride_s``, ``speed`` [m/s]. ``speeds`` holds the gait at other speeds,
+    where it was made.
     ``measured`` are the mean curves that it was fitted to, by coordinate (PHASES,) [rad, m].
     """
 
@@ -237,19 +257,51 @@ class Reference:
     speed: float
     measured: dict[str, np.ndarray] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
+    speeds: Speeds | None = None
 
     def __post_init__(self) -> None:
         self._table = np.hstack([self.qpos, self.qvel, self.torque])
 
-    def at(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (m, 28), velocities (m, 27), torques (m, 21) at phases (m,), linearly between samples."""
+    def at(
+        self, phase: np.ndarray, share: np.ndarray | float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (m, 28), velocities (m, 27), torques (m, 21) at phases (m,), linearly between samples.
+
+        ``share`` of the own speed, 1 or (m,): linearly between the speeds that are known, and no further.
+        """
         x = np.mod(phase, 1.0) * PHASES
         i = x.astype(int) % PHASES
         w = (x - np.floor(x))[:, None]
-        row = (1 - w) * self._table[i] + w * self._table[(i + 1) % PHASES]
+        if self.speeds is None or np.ndim(share) == 0:
+            row = (1 - w) * self._table[i] + w * self._table[(i + 1) % PHASES]
+        else:
+            table, low, part = self._between(np.asarray(share))
+            row = np.zeros((len(x), table.shape[2]))
+            for j, weight in ((low, 1 - part), (low + 1, part)):
+                row += weight[:, None] * ((1 - w) * table[j, i] + w * table[j, (i + 1) % PHASES])
         qpos = row[:, :28]
         qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
         return qpos, row[:, 28:55], row[:, 55:]
+
+    def _between(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the table of all speeds, the index (m,) of the one below ``share`` and how far it is to the next."""
+        assert self.speeds is not None
+        known = self.speeds.shares
+        place = np.interp(share, known, np.arange(len(known)))
+        low = np.minimum(place.astype(int), len(known) - 2)
+        return self.speeds.table, low, place - low
+
+    def stride_at(self, share: np.ndarray | float) -> np.ndarray | float:
+        """Stride time [s] at a share of the own speed."""
+        if self.speeds is None or np.ndim(share) == 0:
+            return self.stride_s
+        return np.asarray(np.interp(share, self.speeds.shares, self.speeds.stride_s))
+
+    def speed_at(self, share: np.ndarray | float) -> np.ndarray | float:
+        """Speed [m/s] at a share of the own speed, within the speeds that are known."""
+        if self.speeds is None or np.ndim(share) == 0:
+            return self.speed
+        return self.speed * np.clip(share, self.speeds.shares[0], self.speeds.shares[-1])
 
     def curve(self, joint: str) -> np.ndarray:
         """One joint over the cycle (PHASES,) [rad]."""
@@ -605,6 +657,67 @@ def make_reference(
     torque = motion.torques(qpos, qvel, qacc)
     report = _report(problem, x, measured, curves, speed)
     return Reference(qpos, qvel, torque, stride_s, float(x[-1]), measured, report)
+
+
+def scaled_curves(measured: Mapping[str, np.ndarray], step_ratio: float) -> dict[str, np.ndarray]:
+    """Return curves (PHASES,) for steps that are shorter or longer by a ratio, about their means.
+
+    Hips, forward sway and rotation of the pelvis go with the step, its vertical sway with the square, as an arc of
+    legs does. Knees and ankles stay: what they change is left to the gait that can be walked.
+    """
+    powers = {"hip_flexion": 1, "pelvis_tx": 1, "pelvis_rotation": 1, "pelvis_ty": 2}
+    return {
+        name: curve.mean() + (curve - curve.mean()) * step_ratio ** powers.get(name, 0)
+        for name, curve in measured.items()
+    }
+
+
+def with_speeds(
+    reference: Reference,
+    body: Body,
+    human: TwinHumanSettings,
+    settings: TwinReferenceSettings,
+    cadence_exponent: float,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Reference:
+    """Return the reference with the same person's gait at ``twin.reference.speeds`` beside it.
+
+    Cadence goes with the power ``cadence_exponent`` of speed and steps with the rest; curves are `scaled_curves` of the
+    measured ones, made walkable like the first. A speed is known by what came out, not by what was asked for.
+    """
+    rows = [(1.0, reference)]
+    weights: TwinReferenceWeightsSettings = {
+        **settings["weights"],
+        "speed_m_per_s": settings["speeds"]["speed_m_per_s"],
+    }
+    firm: TwinReferenceSettings = {**settings, "weights": weights}
+    for share in settings["speeds"]["shares"]:
+        curves = scaled_curves(reference.measured, share ** (1 - cadence_exponent))
+        stride, speed = reference.stride_s * share**-cadence_exponent, reference.speed * share
+        progress(f"reference at {100 * share:.0f} % of the speed")
+        made = make_reference(curves, stride, speed, body, human, firm, progress)
+        rows.append((made.speed / reference.speed, made))
+    rows.sort(key=lambda row: row[0])
+    shares, made_of = zip(*rows, strict=True)
+    if np.any(np.diff(shares) < _LEAST_APART):
+        raise ValueError(f"speeds {np.round(shares, 3).tolist()} of the own one are not apart")
+    table = np.stack([np.hstack([r.qpos, r.qvel, r.torque]) for r in made_of])
+    speeds = Speeds(np.array(shares), table, np.array([r.stride_s for r in made_of]))
+    report = {**reference.report, "speeds": [_speed_report(share, r) for share, r in rows]}
+    return replace(reference, speeds=speeds, report=report)
+
+
+def _speed_report(share: float, reference: Reference) -> dict[str, Any]:
+    """Return how a person walks at a share of their speed: stride, ranges of motion, slip."""
+    return {
+        "share": share,
+        "speed_m_per_s": reference.speed,
+        "stride_s": reference.stride_s,
+        "range_of_motion_deg": {
+            joint: float(np.ptp(np.degrees(reference.curve(f"{joint}_r")))) for joint in SAGITTAL
+        },
+        "slip_rms_m_per_s": reference.report["slip_rms_m_per_s"],
+    }
 
 
 def _report(

@@ -10,7 +10,7 @@ import numpy as np
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS
-from real2sim.study.twin.gait import Reference
+from real2sim.study.twin.gait import Reference, Speeds
 from real2sim.study.twin.human import Body
 from real2sim.study.twin.ppo import Layers, Normaliser, flat, forward, layers_of
 
@@ -51,7 +51,16 @@ def _reference_arrays(reference: Reference) -> dict[str, np.ndarray]:
         "torque": reference.torque,
         "stride_s": np.array(reference.stride_s),
         "speed": np.array(reference.speed),
+        **_speeds_arrays(reference.speeds),
     }
+
+
+def _speeds_arrays(speeds: Speeds | None) -> dict[str, np.ndarray]:
+    if speeds is None:
+        return {}
+    # single precision: a tenth of a micrometre, and half the file
+    table = speeds.table.astype(np.float32)
+    return {"speeds_shares": speeds.shares, "speeds_table": table, "speeds_stride_s": speeds.stride_s}
 
 
 def _reference(arrays: dict[str, np.ndarray]) -> Reference:
@@ -63,7 +72,15 @@ def _reference(arrays: dict[str, np.ndarray]) -> Reference:
         float(arrays["stride_s"]),
         float(arrays["speed"]),
         measured,
+        speeds=_speeds(arrays),
     )
+
+
+def _speeds(arrays: dict[str, np.ndarray]) -> Speeds | None:
+    if "speeds_shares" not in arrays:
+        return None
+    table = arrays["speeds_table"].astype(float)
+    return Speeds(arrays["speeds_shares"], table, arrays["speeds_stride_s"])
 
 
 def load_reference(path: Path) -> Reference:

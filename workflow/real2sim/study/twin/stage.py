@@ -126,11 +126,14 @@ def conditions_of(
     if own is not None:
         straps["own"] = own
     caps = sorted({main_cap, *map(float, coupled["speed_caps"])})
-    out = [Condition(name, v, cap) for name, v in straps.items() for cap in caps]
+    gaits = [gait == "aware" for gait in coupled["gaits"]]
+    out = [
+        Condition(name, v, cap, (), aware) for aware in gaits for name, v in straps.items() for cap in caps
+    ]
     factors = coupled["study_sensitivity" if robot.name == "study" else "sensitivity"]
     for constant in robot.constants:
         for factor in factors:
-            out.append(Condition("prior", prior, main_cap, ((constant, float(factor)),)))
+            out.append(Condition("prior", prior, main_cap, ((constant, float(factor)),), gaits[0]))
     return out
 
 
@@ -193,7 +196,7 @@ def twin_coupled(
         "seed": about["seed"],
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
-        "free": _free(learnt, twin, walks, threads),
+        **_free(learnt, twin, cap, walks, threads),
         "conditions": conditions,
         "measured": _measured(walks, assisted, settings["ingest"]),
         "paper": read_paper(published_gait, published_interface),
@@ -251,13 +254,27 @@ def _cycles_of(walks: dict[str, list[Walk]]) -> dict[str, Cycles]:
     return {name: adaptation.measured_cycles(found) for name, found in walks.items() if found}
 
 
-def _free(learnt: Policy, twin: TwinSettings, walks: dict[str, list[Walk]], threads: int) -> dict[str, Any]:
-    """Return joints and gait of walks without a robot."""
+def _free(
+    learnt: Policy, twin: TwinSettings, main_cap: float, walks: dict[str, list[Walk]], threads: int
+) -> dict[str, Any]:
+    """Return ``free`` and ``free_at_speeds`` of the file: walks without a robot, also as slow as its caps."""
     coupled = twin["coupled"]
-    free = FreeWalk(learnt, twin=twin, walkers=coupled["walkers"], threads=threads).run(coupled["walk_s"])
-    real = _cycles_of(walks).get("walk_normal")
-    joints = adaptation.describe(adaptation.cycles_of(free, coupled["settle_s"]), real)
-    return {**joints, "gait": adaptation.gait_of(free, coupled["settle_s"])}
+    walkers, settle = coupled["walkers"], coupled["settle_s"]
+    caps = sorted({main_cap, *map(float, coupled["speed_caps"])} - {1.0})
+    shares = [1.0, *(caps if learnt.reference.speeds is not None else [])]
+    walk = FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads, shares=shares)
+    recording, real = walk.run(coupled["walk_s"]), _cycles_of(walks)
+    joints, gaits = [], []
+    for k in range(len(shares)):
+        part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
+        beside = real.get("walk_robot" if k else "walk_normal")
+        joints.append(adaptation.describe(adaptation.cycles_of(part, settle), beside))
+        gaits.append(adaptation.gait_of(part, settle))
+    rows = zip(shares[1:], joints[1:], gaits[1:], strict=True)
+    return {
+        "free": {**joints[0], "gait": gaits[0]},
+        "free_at_speeds": [{"share": s, "joints": j, "gait": g} for s, j, g in rows],
+    }
 
 
 def _measured(walks: dict[str, list[Walk]], assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
@@ -284,7 +301,8 @@ def _compare(
     for k, condition in enumerate(conditions):
         part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
         found = _condition(part, condition, settle, real, filters)
-        rows.append({**found, "robot": robot.name, "main": condition.cap == main_cap})
+        main = condition.cap == main_cap and condition.aware == (coupled["gaits"][0] == "aware")
+        rows.append({**found, "robot": robot.name, "aware": condition.aware, "main": main})
     return rows
 
 
@@ -358,6 +376,7 @@ GAIT_COLUMNS = (
     "seed",
     "condition",
     "robot",
+    "aware",
     "cap",
     "main",
     "joint",
@@ -377,6 +396,7 @@ CLOUD_COLUMNS = (
     "seed",
     "condition",
     "robot",
+    "aware",
     "cap",
     "main",
     "robot_factor",
@@ -395,6 +415,7 @@ WALK_COLUMNS = (
     "seed",
     "condition",
     "robot",
+    "aware",
     "cap",
     "main",
     "speed_m_per_s",
@@ -475,8 +496,18 @@ def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Yield the first columns of a row and what is known, of free, measured and coupled walks without factors."""
-    first = {"seed": r["seed"], "phantom": r["phantom"], "robot": "", "cap": None, "main": True}
+    first = {
+        "seed": r["seed"],
+        "phantom": r["phantom"],
+        "robot": "",
+        "aware": None,
+        "cap": None,
+        "main": True,
+    }
     yield {**first, "condition": "free"}, {"joints": r["free"], "gait": r["free"]["gait"]}
+    for slower in r["free_at_speeds"]:
+        own = {"condition": "free", "cap": slower["share"], "aware": True, "main": False}
+        yield {**first, **own}, slower
     for name in ("walk_normal", "walk_robot"):
         if name in r["measured"]:
             known = r["measured"][name]
@@ -491,6 +522,7 @@ def _columns_of(c: dict[str, Any], r: dict[str, Any]) -> dict[str, Any]:
     return {
         "condition": c["name"],
         "robot": c["robot"],
+        "aware": c["aware"],
         "cap": c["cap"],
         "main": c["main"] and c["robot"] == r["main_robot"],
         "survived": c["survived"],
@@ -541,7 +573,7 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
 
 def cloud_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
     """Return one row per condition and for the measured walks: spread of the interface about the pelvis."""
-    measured = {"condition": "walk_robot", "robot": "", "cap": None, "main": True}
+    measured = {"condition": "walk_robot", "robot": "", "aware": None, "cap": None, "main": True}
     cases = [({**measured, "survived": None, "walkers": None}, "", r["measured"]["cloud"])]
     for c in r["conditions"]:
         factor = " ".join(f"{constant} x{value:g}" for constant, value in c["robot_factors"].items())

@@ -65,6 +65,8 @@ class Trainer:
         )
         self.env.sustained = True
         self.env.hold(self.options["hold"])
+        if reference.speeds is not None:
+            self.env.vary(self.options["speeds"])
         self._threads = threads
         self.learner = Learner.new(
             OBSERVATIONS, ACTIONS, self.options["ppo"], np.random.default_rng([seed, 1])
@@ -237,6 +239,8 @@ class Trainer:
             "phase": env.phase,
             "age": env.age,
             "lane_y": env.lane_y,
+            "share": env.share,
+            "share_goal": env.share_goal,
             "last_action": env._last,
             "push_left": env._push_left,
             "push_next": env._push_next,

@@ -1,0 +1,163 @@
+"""A twin that knows its speed: gaits at other speeds, people in training who mean to walk at them, and aware walks."""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from real2sim.study.twin.coupled import Condition, CoupledWalk
+from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
+from real2sim.study.twin.gait import Reference, scaled_curves, with_speeds
+from real2sim.study.twin.policy import Policy, load_policy, save_policy
+from real2sim.study.twin.ppo import init_layers
+from real2sim.study.twin.reference import cadence_exponent
+from real2sim.study.twin.study_robot import StudyRobot
+
+from tests.unit.test_twin_coupled import LIMITS, PRIOR, REST, STUDY, STUDY_ROBOT
+from tests.unit.walking_person import WHO, measured_curves, reference, twin_settings
+
+PHASE = np.linspace(0, 1, 7)[:-1]
+
+
+@cache
+def adaptable() -> Reference:
+    """The reference of `WHO` at three speeds, cadence going with the root of speed."""
+    settings = copy.deepcopy(twin_settings())
+    settings["reference"]["speeds"]["shares"] = [0.7, 1.1]
+    return with_speeds(reference(), WHO, settings["human"], settings["reference"], 0.5)
+
+
+def _policy(gait: Reference) -> Policy:
+    layers = init_layers([OBSERVATIONS, 8, ACTIONS], 0.0, np.random.default_rng(0))
+    return Policy(layers, np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS), gait, WHO)
+
+
+def test_gaits_at_other_speeds_are_ordered_and_hold_the_own_one():
+    gait = adaptable()
+    shares = gait.speeds.shares
+    assert np.all(np.diff(shares) > 0.05)
+    assert 1.0 in shares
+    # nearly as asked for: what can be walked decides
+    assert shares[[0, -1]] == pytest.approx([0.7, 1.1], abs=0.02)
+    for one, other in zip(gait.at(PHASE), gait.at(PHASE, np.ones(6)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    np.testing.assert_allclose(gait.speed_at(shares), gait.speed * shares)
+    # steps and cadence share what speed does
+    assert gait.stride_at(shares)[0] == pytest.approx(1.2 * 0.7**-0.5)
+    ranges = [row["range_of_motion_deg"]["hip_flexion"] for row in gait.report["speeds"]]
+    assert ranges == sorted(ranges)
+    # forward speed of the pelvis over a cycle is that of the share
+    forward = [gait.at(np.arange(48) / 48, np.full(48, s))[1][:, 0].mean() for s in shares]
+    np.testing.assert_allclose(forward, gait.speed * shares, rtol=0.01)
+
+
+def test_between_and_beyond_the_known_speeds():
+    gait = adaptable()
+    low, high = gait.speeds.shares[0], 1.0
+    between = gait.at(PHASE, np.full(6, (low + high) / 2))[1]
+    ends = [gait.at(PHASE, np.full(6, s))[1] for s in (low, high)]
+    np.testing.assert_allclose(between, (ends[0] + ends[1]) / 2, atol=1e-9)
+    np.testing.assert_allclose(gait.at(PHASE, np.full(6, 0.2))[1], ends[0])
+    assert gait.speed_at(np.array([0.2]))[0] == pytest.approx(gait.speed * low)
+    plain = reference()
+    assert plain.stride_at(np.full(3, 0.7)) == plain.stride_s
+
+
+def test_shorter_steps_scale_hips_and_leave_knees():
+    measured = measured_curves()
+    scaled = scaled_curves(measured, 0.8)
+    ratio = {name: np.ptp(scaled[name]) / np.ptp(measured[name]) for name in ("hip_flexion", "knee_angle")}
+    assert ratio == pytest.approx({"hip_flexion": 0.8, "knee_angle": 1.0})
+    assert scaled["hip_flexion"].mean() == pytest.approx(measured["hip_flexion"].mean())
+    assert np.ptp(scaled["pelvis_ty"]) == pytest.approx(0.64 * np.ptp(measured["pelvis_ty"]))
+
+
+def test_cadence_at_other_speeds_is_the_persons_own_where_it_was_recorded():
+    def walks(speed: float, stride_s: float) -> list:
+        return [SimpleNamespace(speed=speed, stride_s=stride_s)]
+
+    settings = twin_settings()["reference"]["speeds"]
+    normal = walks(1.1, 1.2)
+    assert cadence_exponent(normal, walks(0.88, 1.2), settings) == 0
+    assert cadence_exponent(normal, walks(0.88, 1.2 / 0.8**0.5), settings) == pytest.approx(0.5)
+    published = settings["cadence_exponent"]
+    for assisted, options in (
+        ([], settings),
+        (walks(1.08, 1.3), settings),
+        (walks(0.88, 1.2), {**settings, "cadence_from": "published"}),
+    ):
+        assert cadence_exponent(normal, assisted, options) == published
+
+
+def test_speeds_survive_a_file(tmp_path):
+    save_policy(tmp_path / "policy.npz", _policy(adaptable()))
+    read = load_policy(tmp_path / "policy.npz").reference
+    np.testing.assert_allclose(read.speeds.table, adaptable().speeds.table, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(read.speeds.shares, adaptable().speeds.shares)
+    save_policy(tmp_path / "one.npz", _policy(reference()))
+    assert load_policy(tmp_path / "one.npz").reference.speeds is None
+
+
+def _env(n: int, gait: Reference) -> WalkEnv:
+    settings = twin_settings()
+    return WalkEnv(WHO, settings["human"], gait, settings["training"], nsim=n, threads=1, seed=1)
+
+
+def test_people_in_training_mean_to_walk_at_speeds_of_their_own():
+    settings = twin_settings()["training"]
+    env = _env(400, adaptable())
+    env.hold(settings["hold"])
+    env.vary(settings["speeds"])
+    env.reset(np.arange(400))
+    # as far as the gaits are known
+    low, high = np.clip(settings["speeds"]["range"], *adaptable().speeds.shares[[0, -1]])
+    assert env.share.min() >= low
+    assert env.share.max() <= high
+    assert 0.3 < np.mean(env.share == 1.0) < 0.6
+    changing = env.share_goal != env.share
+    assert 0.1 < changing.mean() < 0.35
+    # whoever knows the speed of what holds them means to be little faster
+    held = np.isfinite(env._held_share)
+    ratio = env.share[held] / env._held_share[held]
+    assert np.mean((ratio >= 0.979) & (ratio <= 1.061)) > 0.45
+    assert env.observation()[:, 15] == pytest.approx(env.share)
+    before = env.share.copy()
+    env.step(np.zeros((400, ACTIONS)))
+    moved = np.abs(env.share - before)
+    assert moved.max() == pytest.approx(settings["speeds"]["rate_per_s"] * env.control_s)
+    assert not moved[~changing].any()
+
+
+def test_one_speed_alone_cannot_vary_or_be_aware():
+    with pytest.raises(ValueError, match="one speed"):
+        _env(2, reference()).vary(twin_settings()["training"]["speeds"])
+    with pytest.raises(ValueError, match="one speed"):
+        _walk(reference(), [Condition("prior", PRIOR, 0.8, (), True)])
+
+
+def _walk(gait: Reference, conditions: list[Condition]) -> CoupledWalk:
+    return CoupledWalk(
+        _policy(gait),
+        twin=STUDY["twin"],
+        plant=STUDY["plant"],
+        robot=StudyRobot(STUDY_ROBOT, STUDY["twin"]["study_robot"]),
+        rest=REST,
+        limits=LIMITS,
+        conditions=conditions,
+        walkers=2,
+    )
+
+
+def test_the_aware_take_up_the_speed_of_the_robot_and_the_others_do_not():
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.8, (), True), Condition("prior", PRIOR, 0.8)])
+    np.testing.assert_allclose(walk._share, [0.8, 0.8, 1, 1])
+    recording = walk.run(0.5)
+    assert recording.alive.all()
+    assert 0.75 < walk._share[:2].mean() < 0.9
+    np.testing.assert_array_equal(walk._share[2:], 1.0)
+    # the reference that both start in: the aware are slower from the first step on
+    first = recording.along[:, 10] - recording.along[:, 0]
+    assert first[:2].mean() < 0.9 * first[2:].mean()

@@ -205,7 +205,8 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
             )
         print(
             f"    {r['robot']:9s} {'aware' if r['aware'] else 'fixed'} {r['name']:6s} cap {r['cap']:.2f} {factor:16s}"
-            f" survived {100 * r['survived']:3.0f} %, {r['cycles']:3d} cycles, {gait}, change of RoM {change} deg, {spread}"
+            f" survived {100 * r['survived']:3.0f} %, {r['cycles']:3d} cycles, {gait},"
+            f" change of RoM {change} deg, {spread}"
         )
     paper = read_paper(PUBLISHED / "table3_gait.csv", PUBLISHED / "table2_interface.csv")
     angles = [paper["angles"][joint] for joint in SAGITTAL]

@@ -13,7 +13,7 @@ import yaml
 from real2sim.configuration import validated
 from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
 from real2sim.inference.parameters import PARAMETERS
-from real2sim.pages.twin import gait_figure, interface_figure, speed_figure
+from real2sim.pages.twin import gait_figure, interface_figure, speed_figure, wrench_figure
 from real2sim.study.twin import adaptation
 from real2sim.study.twin.coupled import (
     Condition,
@@ -37,6 +37,7 @@ from real2sim.study.twin.stage import (
     read_paper,
     walk_rows,
     walking_robots,
+    wrench_rows,
 )
 from real2sim.system.batches import untimed_batch
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, JointLimits, RestPose
@@ -258,8 +259,29 @@ def test_the_cloud_of_a_known_sway():
     assert abs(abs(cloud["ellipse"]["angle_deg"]) - 90) < 2
     gone = np.full((2, 500, 6), np.nan)
     assert adaptation.cloud(gone, 125.0, 12.0, 4) == {"trials": 0}
-    force = adaptation.forces(recording.wrench)
-    assert force["ty"]["sd"] == pytest.approx(0.9, rel=0.02)
+
+
+def test_the_wrench_over_the_cycle_beside_a_measured_one():
+    recording = _steady(np.array([0.003, 0.009, 0.002]))
+    # the interface is turned by a quarter about the vertical: the pelvis' y is its -x
+    rest = rotation_xyz(np.array([0, 0, np.pi / 2]))
+    seen = adaptation.on_interface(recording, rest)
+    np.testing.assert_allclose(seen[..., 0], recording.wrench[..., 1], atol=1e-9)
+    phase = np.mod(recording.time_s / reference().stride_s, 1)
+    force = np.zeros((3, len(phase), 6))
+    force[..., 0] = 10 + 20 * np.cos(2 * np.pi * phase)
+    cycles = adaptation.wrench_cycles(recording, force, 2.0)
+    earlier = np.roll(cycles[:, :-1], -10, axis=1)
+    other = 2 * np.concatenate([earlier, earlier[:, :1]], axis=1)
+    found = adaptation.wrench_of(cycles, other)
+    assert found["tx"]["mean"] == pytest.approx(10, abs=0.3)
+    assert found["tx"]["rms"] == pytest.approx(np.sqrt(100 + 200), rel=0.01)
+    assert found["tx"]["peak"] == pytest.approx(30, rel=0.01)
+    assert found["tx"]["rms_ratio"] == pytest.approx(0.5, rel=0.01)
+    assert found["tx"]["r"] == pytest.approx(1, abs=1e-3)
+    assert found["tx"]["phase_percent"] == 10
+    assert found["ty"]["r"] == 0
+    assert adaptation.wrench_of(np.empty((0, 101, 6))) == {}
 
 
 def test_free_walkers_are_recorded_in_the_same_way():
@@ -302,11 +324,14 @@ def _record() -> dict:
     about = adaptation.describe(cycles, cycles)
     cloud = adaptation.cloud(_steady(np.array([0.003, 0.009, 0.002])).interface, 125.0, 12.0, 4)
     gait = adaptation.gait_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
+    wrench = adaptation.wrench_of(np.ones((4, 101, 6)) * np.sin(np.linspace(0, 6.28, 101))[None, :, None])
     place = {"robot": "study", "aware": False, "main": True, "cap": 0.9, "robot_factors": {}}
     case = {**place, "walkers": 8, "survived": 8, "joints": about, "cloud": cloud, "gait": gait}
+    case["wrench"] = wrench
     none = {
         **place,
         "gait": {},
+        "wrench": {},
         "walkers": 8,
         "survived": 0,
         "joints": {j: {"cycles": 0} for j in SAGITTAL},
@@ -329,7 +354,7 @@ def _record() -> dict:
             "walk_normal": {**about, "gait": gait},
             "walk_robot": {**about, "gait": gait},
             "cloud": cloud,
-            "wrench": {},
+            "wrench": wrench,
         },
     }
 
@@ -358,13 +383,16 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
         "stiff",
     ]
     assert "speed_m_per_s" not in walks[-1]
+    wrenches = wrench_rows("S06", record)
+    assert {row["condition"] for row in wrenches} == {"walk_robot", "prior"}
+    assert {row["unit"] for row in wrenches if row["axis"][0] == "r"} == {"Nm"}
     clouds = cloud_rows("S06", record)
     assert [row["robot_factor"] for row in clouds] == ["", "", "", "roll x3"]
     assert clouds[2]["gamma"] is None
     assert clouds[1]["gamma_paper"] == 0.360
     path = tmp_path / "coupled.json"
     path.write_text(json.dumps(record))
-    for draw in (gait_figure, interface_figure, speed_figure):
+    for draw in (gait_figure, interface_figure, speed_figure, wrench_figure):
         out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
         draw(coupled=[path, path], out=out)
         assert all(p.stat().st_size > 5000 for p in out)

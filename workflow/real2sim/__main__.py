@@ -61,6 +61,7 @@ COMMANDS = {
     "gait-figure": "real2sim.pages.twin:gait_figure",
     "interface-figure": "real2sim.pages.twin:interface_figure",
     "speed-figure": "real2sim.pages.twin:speed_figure",
+    "wrench-figure": "real2sim.pages.twin:wrench_figure",
     "paper-tables": "real2sim.study.paper.tables:paper_tables",
     "paper-figures": "real2sim.study.paper.tables:paper_figures",
     "claims": "real2sim.study.paper.claims:claims",

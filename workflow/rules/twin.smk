@@ -2,7 +2,7 @@
 
 Inputs:  subject.yaml, canonical tables of neutral, walk_normal and walk_robot, joint limits, fits and priors, robot twin.
 Outputs: results/twin/<SUBJECT>/human.xml, reference.{npz,json}; seed-<N>/policy.{npz,json}, evaluation.json,
-         coupled.json; {gait,interface,speed}.{png,pdf,svg}; results/twin/{bars,gait,interface,walks}.csv.
+         coupled.json; {gait,interface,speed,wrench}.{png,pdf,svg}; results/twin/{bars,gait,interface,walks,wrench}.csv.
 Steps:   model from height, mass and sex; a gait that it can walk; one policy per seed; bars; coupled walks under every
          interface; tables and figures. A person without a walk_normal trial has no gait to learn and is left out.
 """
@@ -24,7 +24,7 @@ rule twin:
     input:
         "results/twin/bars.csv",
         expand("results/twin/{subject}/human.xml", subject=TWINS),
-        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface", "speed"]),
+        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface", "speed", "wrench"]),
 
 
 rule twin_human:
@@ -188,6 +188,7 @@ rule twin_table:
         gait="results/twin/gait.csv",
         cloud="results/twin/interface.csv",
         walks="results/twin/walks.csv",
+        wrench="results/twin/wrench.csv",
     log:
         "logs/twin/table.log",
     benchmark:
@@ -203,7 +204,7 @@ rule twin_table:
     shell:
         "python -m real2sim twin-table --evaluations {input.evaluations:q} --coupled {input.coupled:q}"
         " --out-bars {output.bars:q} --out-gait {output.gait:q} --out-cloud {output.cloud:q}"
-        " --out-walks {output.walks:q} 2>&1 | tee {log:q}"
+        " --out-walks {output.walks:q} --out-wrench {output.wrench:q} 2>&1 | tee {log:q}"
 
 
 rule gait_figure:
@@ -275,6 +276,29 @@ rule speed_figure:
         code=code("speed-figure"),
     shell:
         "python -m real2sim speed-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule wrench_figure:
+    """Wrench of the strap on the interface over the gait cycle, measured and simulated."""
+    input:
+        coupled=expand("results/twin/{{subject}}/seed-{seed}/coupled.json", seed=SEEDS),
+    output:
+        multiext("results/twin/{subject}/wrench", ".pdf", ".svg"),
+        report("results/twin/{subject}/wrench.png", caption="../report/wrench.rst", category="Validation"),
+    log:
+        "logs/twin/{subject}/wrench_figure.log",
+    benchmark:
+        "logs/benchmarks/twin/{subject}/wrench_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("wrench-figure"),
+    shell:
+        "python -m real2sim wrench-figure --coupled {input.coupled:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule twin_clip:

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 from real2sim.artefacts import read_json
+from real2sim.geometry import AXES
 from real2sim.pages import style
 from real2sim.study.twin.adaptation import JOINT_NAMES
 
@@ -232,3 +233,40 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
         )
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
+
+
+def wrench_figure(*, coupled: list[Path], out: list[Path]) -> None:
+    """Wrench of the strap on the interface over the gait cycle, measured (where it was logged) and simulated.
+
+    ``coupled`` are a person's coupled.json, one per seed; the curves are the first seed's.
+    """
+    records = _records(coupled)
+    first = records[0]
+    with matplotlib.rc_context(style.RC):
+        figure = style.new_figure(4.2, phantom=any(r["phantom"] for r in records))
+        panels = figure.subplots(2, 3, sharex=True)
+        for i, (axes, axis) in enumerate(zip(panels.flat, AXES, strict=True)):
+            _wrench_curves(axes, first, axis)
+            kind, direction = ("torque", "Nm") if axis[0] == "r" else ("force", "N")
+            style.panel_letter(axes, "abcdef"[i], f"{kind} {axis[1]}")
+            if i % 3 == 0:
+                axes.set_ylabel(f"{kind} ({direction})")
+            if i >= 3:
+                axes.set_xlabel("gait cycle (%)")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside upper center", ncols=3, title=_robot(first))
+        style.save(figure, out)
+
+
+def _wrench_curves(axes: Axes, record: dict[str, Any], axis: str) -> None:
+    """Draw one component of the wrench: measured, and of the conditions that are compared with it."""
+    measured = record["measured"]["wrench"].get(axis)
+    if measured:
+        axes.plot(_PHASE, measured["curve"], color=style.BLUE, label="measured", linestyle=(0, (4, 2)))
+    for condition in _main_conditions(record):
+        found = condition["wrench"].get(axis)
+        if found and condition["name"] in ("prior", "own"):
+            axes.plot(_PHASE, found["curve"], color=CONDITIONS[condition["name"]], label=condition["name"])
+    if not axes.lines:
+        style.say(axes, "no stride")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from real2sim.geometry import AXES
+from real2sim.geometry import AXES, rotation_xyz
 from real2sim.signals import lowpass
 from real2sim.study.twin.coupled import Recording
 from real2sim.study.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides
@@ -186,17 +186,82 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
     }
 
 
-def forces(wrench: np.ndarray) -> dict[str, dict[str, float]]:
-    """Mean, SD and largest magnitude of each component of wrenches (m, n, 6) [N, Nm]; NaN where unknown."""
-    rows = wrench.reshape(-1, 6)
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if not len(rows):
+def on_interface(recording: Recording, rest: np.ndarray) -> np.ndarray:
+    """Return the strap's wrench (m, n, 6) on the interface in the interface's axes, as a sensor there reads it [N, Nm].
+
+    ``rest`` (3, 3) is the interface's rotation in the pelvis frame where q = 0. The strap's own wrench is along the
+    pelvis' axes; torques along its hinges are taken as a vector, which they are for small angles.
+    """
+    angles = np.nan_to_num(recording.interface[..., 3:])
+    rotation = rotation_xyz(angles) @ rest
+    parts = [recording.wrench[..., :3], recording.wrench[..., 3:]]
+    return np.concatenate([np.einsum("...ji,...j->...i", rotation, part) for part in parts], axis=-1)
+
+
+def wrench_cycles(recording: Recording, wrench: np.ndarray, settle_s: float) -> np.ndarray:
+    """Return a wrench (m, n, 6) over whole strides from right heel strike, (k, 101, 6), after settling."""
+    out = []
+    for row in range(len(recording.alive)):
+        known = np.isfinite(recording.along[row]) & (recording.time_s >= settle_s)
+        if known.sum() >= 100:
+            strikes = _strikes_of(recording, row, FEET[0], known)
+            out.append(_six_strides(recording.time_s[known], wrench[row][known], strikes))
+    return np.concatenate(out) if out else np.empty((0, CYCLE, 6))
+
+
+def measured_wrench_cycles(
+    walks: list[Walk], logged: list[tuple[np.ndarray, np.ndarray] | None]
+) -> np.ndarray:
+    """Return the logged wrench of measured walks over their strides (k, 101, 6) [N, Nm].
+
+    ``logged`` are time (n,) [s] and wrench (n, 6) of each walk, None where it was not logged.
+    """
+    out = [
+        _six_strides(*found, walk.strikes[FEET[0]])
+        for walk, found in zip(walks, logged, strict=True)
+        if found is not None
+    ]
+    return np.concatenate(out) if out else np.empty((0, CYCLE, 6))
+
+
+def _six_strides(time_s: np.ndarray, wrench: np.ndarray, strikes: np.ndarray) -> np.ndarray:
+    return np.stack([strides(time_s, column, strikes, CYCLE) for column in wrench.T], axis=-1)
+
+
+def wrench_of(cycles: np.ndarray, other: np.ndarray | None = None) -> dict[str, dict[str, Any]]:
+    """Return RMS, mean and mean peak of each component of a wrench over strides (k, 101, 6), and its mean curve.
+
+    With the measured strides ``other``: ``rms_ratio`` to theirs, and the correlation ``r`` of the mean curves where
+    they agree best, with the ``phase_percent`` of the cycle by which the first is late there.
+    """
+    cycles = cycles[np.isfinite(cycles).all(axis=(1, 2))]
+    if not len(cycles):
         return {}
-    return {
-        axis: {
-            "mean": float(rows[:, i].mean()),
-            "sd": float(rows[:, i].std()),
-            "largest": float(np.abs(rows[:, i]).max()),
+    out: dict[str, dict[str, Any]] = {}
+    for i, axis in enumerate(AXES):
+        rows = cycles[..., i]
+        mean = rows.mean(axis=0)
+        out[axis] = {
+            "strides": len(rows),
+            "rms": float(np.sqrt(np.mean(rows**2))),
+            "mean": float(rows.mean()),
+            "peak": float(np.abs(rows).max(axis=1).mean()),
+            "curve": np.round(mean, 3).tolist(),
         }
-        for i, axis in enumerate(AXES)
-    }
+        if other is not None and len(other):
+            theirs = other[..., i]
+            r, late = _agreement(mean, theirs.mean(axis=0))
+            ratio = out[axis]["rms"] / max(float(np.sqrt(np.mean(theirs**2))), 1e-9)
+            out[axis] |= {"rms_ratio": ratio, "r": r, "phase_percent": late}
+    return out
+
+
+def _agreement(ours: np.ndarray, theirs: np.ndarray) -> tuple[float, float]:
+    """Return the best correlation of two curves (101,) over a cycle, and the lateness of the first there [%]."""
+    one, other = ours[:-1] - ours[:-1].mean(), theirs[:-1] - theirs[:-1].mean()
+    scale = np.linalg.norm(one) * np.linalg.norm(other)
+    if not scale:
+        return 0.0, 0.0
+    r = np.array([np.roll(one, -k) @ other for k in range(len(one))]) / scale
+    best = int(np.argmax(r))
+    return float(r[best]), float(best - len(one) if best > len(one) / 2 else best)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ from real2sim.study.twin.evaluate import (
     withstands,
 )
 from real2sim.study.twin.gait import SAGITTAL, Walk
+from real2sim.study.twin.human import Body
 from real2sim.study.twin.policy import Policy, load_policy
 from real2sim.study.twin.reference import PACKAGES, read_walks
 from real2sim.study.twin.robots import CompliantRobot, WalkingRobot
@@ -102,6 +104,35 @@ def read_paper(gait: Path, interface: Path) -> dict[str, Any]:
         "angles": angles,
         "cloud": {row["condition"]: {name: number(row[name]) for name in spread} for row in rows},
     }
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A person's own walks, by kind, their joint cycles, and the logged wrench over strides (k, 101, 6).
+
+    ``rest`` (3, 3) is the interface's rotation in the pelvis frame while standing.
+    """
+
+    walks: dict[str, list[Walk]]
+    cycles: dict[str, Cycles]
+    wrench: np.ndarray
+    rest: np.ndarray
+
+    @classmethod
+    def read(cls, normal: list[Path], assisted: list[Path], who: Body, rest: np.ndarray) -> Measured:
+        """Read the folders of the walk_normal and walk_robot trials."""
+        walks = {"walk_normal": read_walks(normal, who), "walk_robot": read_walks(assisted, who)}
+        cycles = {name: adaptation.measured_cycles(found) for name, found in walks.items() if found}
+        logged = [_logged_wrench(folder) for folder in assisted]
+        return cls(walks, cycles, adaptation.measured_wrench_cycles(walks["walk_robot"], logged), rest)
+
+    def describe(self, assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
+        """Return joints, gait, cloud and wrench of the measured walks; ``filters`` is the slice ``ingest``."""
+        described = {name: adaptation.describe(cycles) for name, cycles in self.cycles.items()}
+        for name, found in described.items():
+            found["gait"] = adaptation.measured_gait(self.walks[name])
+        cloud = _measured_cloud(assisted, filters)
+        return {**described, "cloud": cloud, "wrench": adaptation.wrench_of(self.wrench)}
 
 
 def walking_robots(twin: TwinSettings, compliant: Path, study: Path) -> list[WalkingRobot]:
@@ -182,13 +213,14 @@ def twin_coupled(
     """
     learnt, twin = load_policy(policy), settings["twin"]
     prior, own = read_prior(priors), best_fit(fits)
-    walks = {"walk_normal": read_walks(normal, learnt.body), "walk_robot": read_walks(assisted, learnt.body)}
-    cap, source = cap_to_compare(walks["walk_robot"], learnt.reference.speed, twin["coupled"])
+    interface = _interface_of(neutral, limits)
+    person = Measured.read(normal, assisted, learnt.body, interface[0].rotation)
+    cap, source = cap_to_compare(person.walks["walk_robot"], learnt.reference.speed, twin["coupled"])
     conditions: list[dict[str, Any]] = []
     for machine in walking_robots(twin, robot, study_robot):
         asked = conditions_of(prior, own, twin["coupled"], machine, cap)
-        recording = _walk(learnt, asked, machine, _interface_of(neutral, limits), settings, threads)
-        conditions += _compare(recording, asked, machine, cap, walks, settings)
+        recording = _walk(learnt, asked, machine, interface, settings, threads)
+        conditions += _compare(recording, asked, machine, cap, person, settings)
     about = read_json(record, ("phantom", "seed"))
     sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
@@ -196,9 +228,9 @@ def twin_coupled(
         "seed": about["seed"],
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
-        **_free(learnt, twin, cap, walks, threads),
+        **_free(learnt, twin, cap, person, threads),
         "conditions": conditions,
-        "measured": _measured(walks, assisted, settings["ingest"]),
+        "measured": person.describe(assisted, settings["ingest"]),
         "paper": read_paper(published_gait, published_interface),
         "policy_sha256": sha256(policy),
         "provenance": provenance(sources, PACKAGES, fingerprint(__name__)),
@@ -249,13 +281,8 @@ def _walk(
     return walk.run(twin["coupled"]["walk_s"])
 
 
-def _cycles_of(walks: dict[str, list[Walk]]) -> dict[str, Cycles]:
-    """Return the cycles of the measured walks without and with the robot, of those kinds that were recorded."""
-    return {name: adaptation.measured_cycles(found) for name, found in walks.items() if found}
-
-
 def _free(
-    learnt: Policy, twin: TwinSettings, main_cap: float, walks: dict[str, list[Walk]], threads: int
+    learnt: Policy, twin: TwinSettings, main_cap: float, person: Measured, threads: int
 ) -> dict[str, Any]:
     """Return ``free`` and ``free_at_speeds`` of the file: walks without a robot, also as slow as its caps."""
     coupled = twin["coupled"]
@@ -263,7 +290,7 @@ def _free(
     caps = sorted({main_cap, *map(float, coupled["speed_caps"])} - {1.0})
     shares = [1.0, *(caps if learnt.reference.speeds is not None else [])]
     walk = FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads, shares=shares)
-    recording, real = walk.run(coupled["walk_s"]), _cycles_of(walks)
+    recording, real = walk.run(coupled["walk_s"]), person.cycles
     joints, gaits = [], []
     for k in range(len(shares)):
         part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
@@ -277,30 +304,21 @@ def _free(
     }
 
 
-def _measured(walks: dict[str, list[Walk]], assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
-    """Return joints, gait, cloud and wrench of the measured walks."""
-    described = {name: adaptation.describe(cycles) for name, cycles in _cycles_of(walks).items()}
-    for name, found in described.items():
-        found["gait"] = adaptation.measured_gait(walks[name])
-    return {**described, "cloud": _measured_cloud(assisted, filters), "wrench": _measured_wrench(assisted)}
-
-
 def _compare(
     recording: Recording,
     conditions: list[Condition],
     robot: WalkingRobot,
     main_cap: float,
-    walks: dict[str, list[Walk]],
+    person: Measured,
     settings: Settings,
 ) -> list[dict[str, Any]]:
     """Return what the walkers of each condition did, beside the person's own walks with the robot."""
     coupled, filters = settings["twin"]["coupled"], settings["ingest"]
     settle, walkers = coupled["settle_s"], coupled["walkers"]
-    real = _cycles_of(walks).get("walk_robot")
     rows = []
     for k, condition in enumerate(conditions):
         part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
-        found = _condition(part, condition, settle, real, filters)
+        found = _condition(part, condition, settle, person, filters)
         main = condition.cap == main_cap and condition.aware == (coupled["gaits"][0] == "aware")
         rows.append({**found, "robot": robot.name, "aware": condition.aware, "main": main})
     return rows
@@ -310,7 +328,7 @@ def _condition(
     part: Recording,
     condition: Condition,
     settle_s: float,
-    measured: Cycles | None,
+    person: Measured,
     filters: IngestSettings,
 ) -> dict[str, Any]:
     """Return what the walkers of one condition did after settling; ``filters`` is the slice ``ingest``."""
@@ -318,7 +336,9 @@ def _condition(
     rate = 1 / float(part.time_s[1] - part.time_s[0])
     q = part.interface[:, after]
     lasting = part.alive
-    cycles = adaptation.cycles_of(part.of(np.flatnonzero(lasting)), settle_s)
+    upright = part.of(np.flatnonzero(lasting))
+    cycles = adaptation.cycles_of(upright, settle_s)
+    wrench = adaptation.wrench_cycles(upright, adaptation.on_interface(upright, person.rest), settle_s)
     return {
         "name": condition.name,
         "cap": condition.cap,
@@ -326,10 +346,10 @@ def _condition(
         "walkers": len(lasting),
         "survived": int(lasting.sum()),
         "survived_s": part.survived_s.tolist(),
-        "gait": adaptation.gait_of(part.of(np.flatnonzero(lasting)), settle_s),
-        "joints": adaptation.describe(cycles, measured),
+        "gait": adaptation.gait_of(upright, settle_s),
+        "joints": adaptation.describe(cycles, person.cycles.get("walk_robot")),
         "cloud": adaptation.cloud(q[lasting], rate, filters["cutoff_hz"], filters["filter_order"]),
-        "wrench": adaptation.forces(part.wrench[lasting][:, after]),
+        "wrench": adaptation.wrench_of(wrench, person.wrench),
     }
 
 
@@ -360,15 +380,12 @@ def _steady_rows(folder: Path) -> np.ndarray:
     return np.flatnonzero(speed >= 0.85 * np.percentile(speed, 90))
 
 
-def _measured_wrench(assisted: list[Path]) -> dict[str, Any]:
-    """Return the logged interface wrench of the measured walks, where there is one."""
-    rows = []
-    for folder in assisted:
-        table = pq.read_table(folder / "robot.parquet")
-        if all(name in table.column_names for name in WRENCH):
-            keep = _steady_rows(folder)
-            rows.append(np.column_stack([table[name].to_numpy() for name in WRENCH])[keep])
-    return adaptation.forces(np.concatenate(rows)[None]) if rows else {}
+def _logged_wrench(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return time (n,) [s] and wrench (n, 6) on the interface of a trial's log, None where it has none."""
+    table = pq.read_table(folder / "robot.parquet")
+    if not all(name in table.column_names for name in WRENCH):
+        return None
+    return table["time_s"].to_numpy(), np.column_stack([table[name].to_numpy() for name in WRENCH])
 
 
 GAIT_COLUMNS = (
@@ -429,6 +446,25 @@ WALK_COLUMNS = (
     "walkers",
     "phantom",
 )
+FORCE_COLUMNS = (
+    "subject",
+    "seed",
+    "condition",
+    "robot",
+    "aware",
+    "cap",
+    "main",
+    "axis",
+    "unit",
+    "strides",
+    "rms",
+    "mean",
+    "peak",
+    "rms_ratio",
+    "r",
+    "phase_percent",
+    "phantom",
+)
 BAR_COLUMNS = ("subject", "seed", "bar", "value", "limit", "met", "phantom")
 
 
@@ -440,8 +476,9 @@ def twin_table(
     out_gait: Path,
     out_cloud: Path,
     out_walks: Path,
+    out_wrench: Path,
 ) -> None:
-    """Write bars of every policy; joints, gait and interface cloud of every condition, one row each.
+    """Write bars of every policy; joints, gait, interface cloud and wrench of every condition, one row each.
 
     The folder of a file names the person, ``<SUBJECT>/seed-<N>/…``.
     """
@@ -453,6 +490,7 @@ def twin_table(
     write_table(out_gait, GAIT_COLUMNS, [row for name, r in records for row in gait_rows(name, r)])
     write_table(out_cloud, CLOUD_COLUMNS, [row for name, r in records for row in cloud_rows(name, r)])
     write_table(out_walks, WALK_COLUMNS, [row for name, r in records for row in walk_rows(name, r)])
+    write_table(out_wrench, FORCE_COLUMNS, [row for name, r in records for row in wrench_rows(name, r)])
 
 
 def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
@@ -511,7 +549,8 @@ def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
     for name in ("walk_normal", "walk_robot"):
         if name in r["measured"]:
             known = r["measured"][name]
-            yield {**first, "condition": name}, {"joints": known, "gait": known["gait"]}
+            wrench = r["measured"]["wrench"] if name == "walk_robot" else {}
+            yield {**first, "condition": name}, {"joints": known, "gait": known["gait"], "wrench": wrench}
     for c in r["conditions"]:
         if not c["robot_factors"]:
             yield {**first, **_columns_of(c, r)}, c
@@ -536,6 +575,17 @@ def walk_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
         {"subject": subject, "survived": None, "walkers": None, **first, **known["gait"]}
         for first, known in _cases(r)
     ]
+
+
+def wrench_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per condition and axis: the strap's wrench on the interface, simulated and measured."""
+    rows = []
+    for first, known in _cases(r):
+        for axis, found in known.get("wrench", {}).items():
+            figures = {key: value for key, value in found.items() if key != "curve"}
+            unit = "N" if axis.startswith("t") else "Nm"
+            rows.append({"subject": subject, **first, "axis": axis, "unit": unit, **figures})
+    return rows
 
 
 def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:

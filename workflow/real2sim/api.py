@@ -9,8 +9,8 @@ answer = diagnose(system, train=slow, held_out=fast, quiet=still)
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -33,6 +33,8 @@ from real2sim.effects.base import Effect, Placed
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.system_replay import supports
 from real2sim.errors import InputError
+from real2sim.recording.channels import channel_findings, drive_scales
+from real2sim.recording.formats.recordings import Finding
 from real2sim.recording.table import Recording
 from real2sim.system.description import System
 
@@ -108,11 +110,13 @@ class Diagnosis:
     """Answer: where the gap of a system's simulation lies, which effect causes it, how far it shrinks.
 
     The attributes of the answer (``verdict``, ``probabilities``, ``causes``, ``where``, ``gap``, ``parameters``,
-    ``next_trial`` ...) are those of diagnosis.json.
+    ``next_trial`` ...) are those of diagnosis.json. ``findings`` lists what was odd in the recordings
+    (docs/quality-codes.md).
     """
 
     system: System
     answer: Answer
+    findings: tuple[Finding, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -146,7 +150,8 @@ class Diagnosis:
 
     def save(self, path: Path | str) -> None:
         """Write diagnosis.json."""
-        write_json(Path(path), {"schema": 1, "subject": self.system.name} | self.answer.to_dict())
+        content = {"schema": 1, "subject": self.system.name} | self.answer.to_dict()
+        write_json(Path(path), content | {"findings": [asdict(f) for f in self.findings]})
 
     def plot(self, path: Path | str | None = None) -> Any:
         """Draw observations measured, plain and with the effect; return the figure, written where ``path`` is given."""
@@ -278,6 +283,10 @@ def diagnose(
         raise InputError(
             twice, "", "the same name for two recordings", "a name for each", "Rename one of them."
         )
+    tell = progress or (lambda text: print(f"{system.name}: {text}", file=sys.stderr, flush=True))
+    findings = [f for r in given for f in r.findings] + list(_odd_channels(system, recordings, options))
+    for finding in findings:
+        tell(f"{finding.severity}: {finding.file}, {finding.place}: {finding.message}. {finding.action}")
     loaded = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
 
     def load(name: str, settled: bool) -> Evidence:
@@ -286,14 +295,22 @@ def diagnose(
     def places(pair: Pair) -> list[Placed]:
         return [p for p in candidates(system, pair.train.scales) if supports(p)]
 
-    def say(text: str) -> None:
-        print(f"{system.name}: {text}", file=sys.stderr, flush=True)
-
     more = tuple(r.name for r in further)
-    trials = Trials(
-        train.name, held_out.name, system, load, options["diagnosis"], progress or say, places, more
-    )
-    return Diagnosis(system, answer(search_both_ways(trials), options, progress or say))
+    trials = Trials(train.name, held_out.name, system, load, options["diagnosis"], tell, places, more)
+    return Diagnosis(system, answer(search_both_ways(trials), options, tell), tuple(findings))
+
+
+def _odd_channels(
+    system: System, recordings: Mapping[str, Recording], options: Settings
+) -> Iterator[Finding]:
+    """Yield what is odd about the columns of recordings, alone and beside each other."""
+    settings = options["diagnosis"]["described"]["channels"]
+    driven = set(system.drive.columns.values())
+    for name, r in recordings.items():
+        measured = {c: v for c, v in r.columns.items() if c not in driven}
+        yield from channel_findings(system, name, r.rate_hz, measured, settings)
+    columns = {name: (r.rate_hz, r.columns) for name, r in recordings.items()}
+    yield from drive_scales(system, columns, settings["most_scale"])
 
 
 def catalogue(system: System | None = None) -> tuple[Effect, ...]:

@@ -612,11 +612,23 @@ DiagnosisNuisanceSettings = TypedDict(
     },
 )
 
+DiagnosisDescribedChannelsSettings = TypedDict(
+    "DiagnosisDescribedChannelsSettings",
+    {
+        "samples_per_period": float,
+        "clipped_share": float,
+        "clipped_stretches": int,
+        "least_levels": float,
+        "most_scale": float,
+    },
+)
+
 DiagnosisDescribedSettings = TypedDict(
     "DiagnosisDescribedSettings",
     {
         "band_shares": list[float],
         "marker_floor_m": float,
+        "channels": DiagnosisDescribedChannelsSettings,
         "spike_sd": float,
         "first_s": float,
         "moved_sd": float,

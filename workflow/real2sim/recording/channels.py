@@ -1,0 +1,132 @@
+"""Columns of a described system's recording that cannot be what they are taken for: clipped, coarse, slow, rescaled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from real2sim import signals
+from real2sim.recording.formats.recordings import Finding
+from real2sim.system.description import System
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisDescribedChannelsSettings
+
+
+def channel_findings(
+    system: System,
+    name: str,
+    rate_hz: float,
+    measured: Mapping[str, np.ndarray],
+    settings: DiagnosisDescribedChannelsSettings,
+) -> Iterator[Finding]:
+    """Yield what is odd about the measured columns (n,) of a recording.
+
+    ``settings`` is the slice ``diagnosis.described.channels`` of the configuration.
+    """
+    if rate_hz < settings["samples_per_period"] * system.band_hz:
+        yield Finding(
+            "rate_below_band",
+            "warning",
+            name,
+            "time_s",
+            f"{rate_hz:.4g} Hz, where the system is said to move up to {system.band_hz:g} Hz (band_hz)",
+            "Used as it is. Record faster, or lower band_hz; times in other units than seconds read like this.",
+        )
+    for column, values in measured.items():
+        known = values[np.isfinite(values)]
+        if len(known) < 2 or not np.ptp(known):
+            continue
+        share, stretches = _clipped(known)
+        if share >= settings["clipped_share"] and stretches >= settings["clipped_stretches"]:
+            yield Finding(
+                "channel_clipped",
+                "warning",
+                name,
+                column,
+                f"{100 * share:.1f} % of the samples lie exactly at {known.min():.6g} or {known.max():.6g}, in "
+                f"{stretches} stretches: the channel or its amplifier saturates",
+                "Used as it is: the diagnosis takes the flat parts for motion. Record with a larger range.",
+            )
+        step = _resolution(known)
+        if np.ptp(known) < settings["least_levels"] * step:
+            yield Finding(
+                "channel_coarse",
+                "warning",
+                name,
+                column,
+                f"values are {step:.4g} apart, a {np.ptp(known) / step:.0f}th of their range",
+                "Used as it is: steps are no white noise. Record at a finer resolution.",
+            )
+
+
+def _clipped(values: np.ndarray) -> tuple[float, int]:
+    """Return the share of samples in stretches of three and more at an extreme value, and how many stretches.
+
+    A stretch at the beginning or at the end may be a machine that stands still.
+    """
+    count, stretches = 0, 0
+    for extreme in (values.min(), values.max()):
+        at = np.concatenate([[False], values == extreme, [False]])
+        begin, end = (
+            np.flatnonzero(np.diff(at.astype(int)) == 1),
+            np.flatnonzero(np.diff(at.astype(int)) == -1),
+        )
+        lengths = (end - begin)[(begin > 0) & (end < len(values))]
+        count += int(lengths[lengths >= 3].sum())
+        stretches += int((lengths >= 3).sum())
+    return count / len(values), stretches
+
+
+def _resolution(values: np.ndarray) -> float:
+    """Return the smallest step between neighbouring values that occur, beyond rounding."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > 1e-9 * np.ptp(values)]
+    return float(np.percentile(steps, 5)) if len(steps) else 0.0
+
+
+def drive_scales(
+    system: System, recordings: Mapping[str, tuple[float, Mapping[str, np.ndarray]]], most: float
+) -> Iterator[Finding]:
+    """Yield recordings whose driving force needs another scale than that of the first one.
+
+    A force along a joint whose position is an output is compared with what the motion asks for by a linear law
+    (inertia, damping, stiffness, offset), learnt from the first recording. ``recordings`` maps a name to its rate [Hz]
+    and columns; ``most`` is the largest factor that a nonlinear system is believed to show.
+    """
+    if system.drive.by != "force":
+        return
+    outputs = {o.joint: o.column for o in system.outputs if o.quantity == "position"}
+    for joint, column in system.drive.columns.items():
+        if joint not in outputs:
+            continue
+        terms = {
+            n: _motion(columns[outputs[joint]], rate, system.band_hz)
+            for n, (rate, columns) in recordings.items()
+        }
+        force = {n: columns[column] for n, (_, columns) in recordings.items()}
+        first = next(iter(recordings))
+        law = np.linalg.lstsq(terms[first], force[first], rcond=None)[0]
+        for name in list(recordings)[1:]:
+            asked = terms[name] @ law
+            scale = float(asked @ force[name] / (asked @ asked)) if asked.any() else 1.0
+            if not 1 / most <= scale <= most:
+                yield Finding(
+                    "drive_scale",
+                    "warning",
+                    name,
+                    column,
+                    f"by the linear law of {first} the motion asks for {1 / scale:.3g} times the force of this column",
+                    "Used as it is. Check unit and gain of both recordings: one drive scale has to hold in all.",
+                )
+
+
+def _motion(position: np.ndarray, rate_hz: float, band_hz: float) -> np.ndarray:
+    """Return acceleration, rate, position and one (n, 4) of a position below the band."""
+    smooth = signals.lowpass(signals.bridged(position[:, None]), rate_hz, min(band_hz, 0.4 * rate_hz), 4)[
+        :, 0
+    ]
+    rate = np.gradient(smooth) * rate_hz
+    return np.column_stack([np.gradient(rate) * rate_hz, rate, smooth, np.ones(len(smooth))])

@@ -66,13 +66,16 @@ def test_between_and_beyond_the_known_speeds():
     assert plain.stride_at(np.full(3, 0.7)) == plain.stride_s
 
 
-def test_shorter_steps_scale_hips_and_leave_knees():
+def test_shorter_steps_scale_joints_as_published():
     measured = measured_curves()
-    scaled = scaled_curves(measured, 0.8)
-    ratio = {name: np.ptp(scaled[name]) / np.ptp(measured[name]) for name in ("hip_flexion", "knee_angle")}
-    assert ratio == pytest.approx({"hip_flexion": 0.8, "knee_angle": 1.0})
+    settings = twin_settings()["reference"]["speeds"]
+    scaled = scaled_curves(measured, 36.7 / 42.5, settings)
+    ranges = {"hip_flexion": 36.7 / 42.5, "knee_angle": 51.6 / 55.1, "ankle_angle": 27.3 / 31.6}
+    for name, published in ranges.items():
+        assert np.ptp(scaled[name]) / np.ptp(measured[name]) == pytest.approx(published, abs=0.002)
     assert scaled["hip_flexion"].mean() == pytest.approx(measured["hip_flexion"].mean())
-    assert np.ptp(scaled["pelvis_ty"]) == pytest.approx(0.64 * np.ptp(measured["pelvis_ty"]))
+    shorter = (36.7 / 42.5) ** 2
+    assert np.ptp(scaled["pelvis_ty"]) == pytest.approx(shorter * np.ptp(measured["pelvis_ty"]))
 
 
 def test_cadence_at_other_speeds_is_the_persons_own_where_it_was_recorded():

@@ -789,6 +789,8 @@ TwinReferenceSpeedsSettings = TypedDict(
     {
         "shares": list[float],
         "speed_m_per_s": float,
+        "knee_exponent": float,
+        "ankle_exponent": float,
         "cadence_from": str,
         "cadence_exponent": float,
     },

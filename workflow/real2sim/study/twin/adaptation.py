@@ -116,17 +116,18 @@ def measured_gait(walks: list[Walk]) -> dict[str, Any]:
     """Return speed, stride, cadence and pelvis rotation of measured walks in the form of `gait_of`, without slip."""
     speed = float(np.mean([w.speed for w in walks]))
     lasts = float(np.mean([w.stride_s for w in walks]))
-    turns = [
-        np.ptp(np.degrees(w.joints["pelvis_rotation"][(w.time_s >= a) & (w.time_s <= b)]))
+    headings = [
+        np.degrees(w.joints["pelvis_rotation"][(w.time_s >= a) & (w.time_s <= b)])
         for w in walks
         for side in FEET
         for a, b in pairwise(w.strikes[side])
     ]
+    turns = [np.nanmax(h) - np.nanmin(h) for h in headings if np.isfinite(h).any()]
     return {
         "speed_m_per_s": speed,
         "stride_m": speed * lasts,
         "cadence_per_min": 120 / lasts,
-        "pelvis_rotation_deg": float(np.mean(turns)),
+        "pelvis_rotation_deg": float(np.mean(turns)) if turns else None,
     }
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from real2sim.settings import (
         TwinHumanSettings,
         TwinReferenceSettings,
+        TwinReferenceSpeedsSettings,
         TwinReferenceWeightsSettings,
     )
 
@@ -659,15 +660,18 @@ def make_reference(
     return Reference(qpos, qvel, torque, stride_s, float(x[-1]), measured, report)
 
 
-def scaled_curves(measured: Mapping[str, np.ndarray], step_ratio: float) -> dict[str, np.ndarray]:
+def scaled_curves(
+    measured: Mapping[str, np.ndarray], step_ratio: float, settings: TwinReferenceSpeedsSettings
+) -> dict[str, np.ndarray]:
     """Return curves (PHASES,) for steps that are shorter or longer by a ratio, about their means.
 
     Hips, forward sway and rotation of the pelvis go with the step, its vertical sway with the square, as an arc of
-    legs does. Knees and ankles stay: what they change is left to the gait that can be walked.
+    legs does; knees and ankles with the powers of ``twin.reference.speeds``.
     """
-    powers = {"hip_flexion": 1, "pelvis_tx": 1, "pelvis_rotation": 1, "pelvis_ty": 2}
+    powers = {"hip_flexion": 1.0, "pelvis_tx": 1.0, "pelvis_rotation": 1.0, "pelvis_ty": 2.0}
+    powers |= {"knee_angle": settings["knee_exponent"], "ankle_angle": settings["ankle_exponent"]}
     return {
-        name: curve.mean() + (curve - curve.mean()) * step_ratio ** powers.get(name, 0)
+        name: curve.mean() + (curve - curve.mean()) * step_ratio ** powers.get(name, 0.0)
         for name, curve in measured.items()
     }
 
@@ -692,7 +696,7 @@ def with_speeds(
     }
     firm: TwinReferenceSettings = {**settings, "weights": weights}
     for share in settings["speeds"]["shares"]:
-        curves = scaled_curves(reference.measured, share ** (1 - cadence_exponent))
+        curves = scaled_curves(reference.measured, share ** (1 - cadence_exponent), settings["speeds"])
         stride, speed = reference.stride_s * share**-cadence_exponent, reference.speed * share
         progress(f"reference at {100 * share:.0f} % of the speed")
         made = make_reference(curves, stride, speed, body, human, firm, progress)

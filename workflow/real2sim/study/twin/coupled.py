@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6
 _SENSORS = 19  # columns of `add_gait_sensors`
+_TURNED = 1.0  # heading from which a walker does not walk along any more, as in training [rad]
 _CADENCE_FILTER_S = 1.0  # over which the person senses the robot's speed
 
 
@@ -251,11 +252,12 @@ class _Walkers:
         return cadence
 
     def _fallen(self, root: RootState, qpos: np.ndarray, height: float) -> np.ndarray:
-        """Return who lies, hangs or diverged (n,); ``height`` [m] is that of the pelvis in the reference."""
+        """Return who lies, hangs, turned away or diverged (n,); ``height`` [m] is that of the reference's pelvis."""
         warning = self.batch.warning
         return np.asarray(
             (root.position[:, 2] < 0.75 * height)
             | (root.tilt_sq > 0.3)
+            | (np.abs(root.yaw) > _TURNED)
             | ~np.isfinite(qpos).all(axis=1)
             | warning.any(axis=tuple(range(1, warning.ndim)))
         )

@@ -114,7 +114,7 @@ def draw(
             (style.GREY, "|", "-", "Table I"),
         ]
         handles = [Line2D([], [], color=c, marker=m, linestyle=s, label=n) for c, m, s, n in marks]
-        figure.legend(handles=handles, loc="outside upper center", ncols=2)
+        figure.legend(handles=handles, loc="outside lower center", ncols=2)
         style.save(figure, [out])
 
 

@@ -199,7 +199,7 @@ def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
         handles.append(
             Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
         )
-        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
         style.save(figure, out)
 
 
@@ -255,7 +255,7 @@ def wrench_figure(*, coupled: list[Path], out: list[Path]) -> None:
                 axes.set_xlabel("gait cycle (%)")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         if handles:
-            figure.legend(handles, labels, loc="outside upper center", ncols=3, title=_robot(first))
+            figure.legend(handles, labels, loc="outside lower center", ncols=3, title=_robot(first))
         style.save(figure, out)
 
 

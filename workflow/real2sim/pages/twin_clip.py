@@ -36,7 +36,7 @@ def dress(spec: mujoco.MjSpec, robot: Path) -> None:
         if body.name == "world":
             continue
         for geom in body.geoms:
-            spec.body(body.name).add_geom(
+            drawn = spec.body(body.name).add_geom(
                 type=geom.type,
                 size=geom.size,
                 pos=geom.pos,
@@ -47,6 +47,8 @@ def dress(spec: mujoco.MjSpec, robot: Path) -> None:
                 contype=0,
                 conaffinity=0,
             )
+            # an orientation that the file gives in another way than by a quaternion
+            drawn.alt.type, drawn.alt.zaxis = geom.alt.type, geom.alt.zaxis
     spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -131,7 +133,7 @@ def twin_clip(
         robot=walking_robots(twin, robot, study_robot)[0],
         rest=RestPose(np.array(rest["rotation"]), np.array(rest["position"])),
         limits=load_limits(limits),
-        conditions=[Condition("prior", read_prior(priors), cap)],
+        conditions=[Condition("prior", read_prior(priors), cap, (), twin["coupled"]["gaits"][0] == "aware")],
         walkers=1,
     )
     states: list[np.ndarray] = []

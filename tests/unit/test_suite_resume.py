@@ -28,6 +28,8 @@ def shard(tmp_path, monkeypatch):
         asked.append(folder.name)
         if settings.get("fails_at") == folder.name:
             raise KeyboardInterrupt
+        if settings.get("breaks_at") == folder.name:
+            raise ValueError("no such luck")
         write_json(target, {"subject": folder.name})
 
     monkeypatch.setattr(answers, "_answer", answer)
@@ -36,7 +38,8 @@ def shard(tmp_path, monkeypatch):
         asked.clear()
         out = tmp_path / "answers.json"
         answers.diagnose_cases(cases=cases, robot=ROBOT, settings=settings, work=tmp_path / "cases", out=out)
-        assert len(read_json(out)["answers"]) == 3
+        written = read_json(out)
+        assert len(written["answers"]) + len(written["failed"]) == 3
         return list(asked)
 
     return cases, asked, run
@@ -60,6 +63,16 @@ def test_answers_to_other_recordings_or_settings_are_given_anew(shard):
     (cases[1] / "dynamic_1.tsv").write_text("another recording")
     assert run() == ["C0001"]
     assert run(noise_draws=3) == ["C0000", "C0001", "C0002"]
+
+
+def test_a_case_that_breaks_takes_no_other_along_and_is_asked_again(shard, tmp_path):
+    _, _, run = shard
+    assert run(breaks_at="C0001") == ["C0000", "C0001", "C0002"]
+    written = read_json(tmp_path / "answers.json")
+    assert [Path(name).parent.name for name in written["answers"]] == ["C0000", "C0002"]
+    assert written["failed"] == [{"case": "C0001", "error": "ValueError: no such luck"}]
+    (tmp_path / "cases/C0001").mkdir(exist_ok=True)
+    assert run(breaks_at="C0001") == ["C0001"]
 
 
 def test_expected_time_is_cases_times_seconds_over_cores(tmp_path):

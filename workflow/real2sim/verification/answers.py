@@ -8,6 +8,7 @@ import io
 import json
 import sys
 import time
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,12 +45,13 @@ def diagnose_cases(
         Where canonical tables and the answer of each case go: <work>/<CASE>/. An answer that is there, from the same
         recordings, settings and code, is kept, so that an interrupted shard goes on.
     out
-        JSON with the list of answers.
+        JSON with the list of answers, and of the cases that failed, each with its error: one broken case does not take
+        the others along, and the score says that it is missing.
     left_out
         By case: names that the catalogue is without (``diagnosis.left_out``), which shorten it and are used for nothing
         else.
     """
-    answers, begun, done = [], time.monotonic(), 0
+    answers, failed, begun, done = [], [], time.monotonic(), 0
     for index, folder in enumerate(cases):
         target = work / folder.name / "diagnosis.json"
         seconds = target.with_name("seconds.json")
@@ -57,14 +59,19 @@ def diagnose_cases(
         key = _key(folder, robot, own)
         if not (target.exists() and seconds.exists() and read_json(seconds).get("key") == key):
             start = time.monotonic()
-            _answer(folder, robot, own, target)
+            try:
+                _answer(folder, robot, own, target)
+            except Exception as error:  # whatever it is, it is this case's alone
+                traceback.print_exc()
+                failed.append({"case": folder.name, "error": f"{type(error).__name__}: {error}"})
+                continue
             write_json(seconds, {"seconds": time.monotonic() - start, "key": key})
             done += 1
         answers.append(str(target))
         # answers that were kept took no time and say nothing of the others
         left = (time.monotonic() - begun) / max(done, 1) * (len(cases) - index - 1)
         print(f"{index + 1}/{len(cases)} cases, about {left:.0f} s left", file=sys.stderr, flush=True)
-    write_json(out, {"schema": 1, "answers": answers})
+    write_json(out, {"schema": 1, "answers": answers, "failed": failed})
 
 
 def _without(settings: Settings, names: list[str]) -> Settings:

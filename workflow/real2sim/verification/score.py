@@ -51,6 +51,11 @@ def _rows(answers: Sequence[Path], truths: Sequence[Path]) -> list[Row]:
     return rows
 
 
+def _failed(answers: Sequence[Path]) -> list[Row]:
+    """Return the cases that failed, with their errors."""
+    return [row for listed in answers for row in read_json(listed, ("answers",)).get("failed", [])]
+
+
 def _group_of(name: str) -> tuple[str, ...]:
     return next((members for members in GROUPS.values() if name in members), (name,))
 
@@ -66,13 +71,18 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
     ``answers`` are the lists that `answers.diagnose_cases` wrote, ``truths`` the sealed files of the same shards,
     ``out`` a JSON file. The target table is printed. Raises InputError where one of them is broken.
     """
-    rows = _rows(answers, truths)
+    rows, failed = _rows(answers, truths), _failed(answers)
     by = {
         stratum: [r for r in rows if r["case"]["stratum"] == stratum]
         for stratum in ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
     }
     listed = [row for own in by.values() for row in own]
-    targets = [*(_targets(by, by["null"] + by["null_hard"]) if listed else []), *score_unlisted(rows)]
+    answered = [True] * len(rows) + [False] * len(failed)
+    targets = [
+        claim("cases that could be answered at all", answered, "100 %", lambda v: v >= 1.0),
+        *(_targets(by, by["null"] + by["null_hard"]) if listed else []),
+        *score_unlisted(rows),
+    ]
     print_table(targets)
     write_json(
         out,
@@ -80,7 +90,8 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
             "schema": 1,
             "suite": suite,
             "phantom": True,
-            "cases": len(rows),
+            "cases": len(rows) + len(failed),
+            "failed": failed,
             "targets": targets,
             "confusion": _confusion(rows),
             "power": _power(by["in_library"]),

@@ -35,6 +35,7 @@ from real2sim.study.twin.stage import (
     conditions_of,
     gait_rows,
     read_paper,
+    strap_rows,
     walk_rows,
     walking_robots,
     wrench_rows,
@@ -396,6 +397,27 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
         out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
         draw(coupled=[path, path], out=out)
         assert all(p.stat().st_size > 5000 for p in out)
+
+
+def test_straps_are_told_apart_by_more_than_the_seeds_differ():
+    place = {"subject": "S06", "robot": "study", "aware": True, "cap": 0.8, "joint": "hip_flexion"}
+    rows = [
+        place | {"phantom": True, "condition": name, "seed": seed, "rom_change_deg": change}
+        for name, changes in {
+            "soft": (-2.0, -2.5, -1.5),
+            "prior": (-5.0, -5.2, -4.9),
+            "stiff": (-5.5, -4.0, -6.5),
+        }.items()
+        for seed, change in enumerate(changes)
+    ]
+    found = {(row["strap"], row["against"]): row for row in strap_rows(rows)}
+    assert set(found) == {("soft", "prior"), ("stiff", "prior"), ("stiff", "soft")}
+    assert found["soft", "prior"]["told_apart"]
+    assert found["soft", "prior"]["difference_deg"] == pytest.approx(3.0333, abs=1e-3)
+    assert not found["stiff", "prior"]["told_apart"]
+    # one seed says nothing
+    (alone, *_) = strap_rows([row for row in rows if row["seed"] == 0])
+    assert (alone["seeds"], alone["seed_sd_deg"], alone["told_apart"]) == (1, None, False)
 
 
 def test_every_compliance_of_the_robot_names_its_source():

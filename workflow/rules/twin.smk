@@ -2,7 +2,7 @@
 
 Inputs:  subject.yaml, canonical tables of neutral, walk_normal and walk_robot, joint limits, fits and priors, robot twin.
 Outputs: results/twin/<SUBJECT>/human.xml, reference.{npz,json}; seed-<N>/policy.{npz,json}, evaluation.json,
-         coupled.json; {gait,interface,speed,wrench}.{png,pdf,svg}; results/twin/{bars,gait,interface,walks,wrench}.csv.
+         coupled.json; {gait,interface,speed,wrench}.{png,pdf,svg}; results/twin/{bars,gait,interface,walks,wrench,straps}.csv.
 Steps:   model from height, mass and sex; a gait that it can walk; one policy per seed; bars; coupled walks under every
          interface; tables and figures. A person without a walk_normal trial has no gait to learn and is left out.
 """
@@ -24,7 +24,11 @@ rule twin:
     input:
         "results/twin/bars.csv",
         expand("results/twin/{subject}/human.xml", subject=TWINS),
-        expand("results/twin/{subject}/{figure}.png", subject=TWINS, figure=["gait", "interface", "speed", "wrench"]),
+        expand(
+            "results/twin/{subject}/{figure}.png",
+            subject=TWINS,
+            figure=["gait", "interface", "speed", "wrench"],
+        ),
 
 
 rule twin_human:
@@ -189,6 +193,7 @@ rule twin_table:
         cloud="results/twin/interface.csv",
         walks="results/twin/walks.csv",
         wrench="results/twin/wrench.csv",
+        straps="results/twin/straps.csv",
     log:
         "logs/twin/table.log",
     benchmark:
@@ -204,7 +209,8 @@ rule twin_table:
     shell:
         "python -m real2sim twin-table --evaluations {input.evaluations:q} --coupled {input.coupled:q}"
         " --out-bars {output.bars:q} --out-gait {output.gait:q} --out-cloud {output.cloud:q}"
-        " --out-walks {output.walks:q} --out-wrench {output.wrench:q} 2>&1 | tee {log:q}"
+        " --out-walks {output.walks:q} --out-wrench {output.wrench:q}"
+        " --out-straps {output.straps:q} 2>&1 | tee {log:q}"
 
 
 rule gait_figure:

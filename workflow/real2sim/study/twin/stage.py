@@ -388,6 +388,9 @@ def _logged_wrench(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
     return table["time_s"].to_numpy(), np.column_stack([table[name].to_numpy() for name in WRENCH])
 
 
+# Straps that are compared with each other
+_PAIRS = (("soft", "prior"), ("stiff", "prior"), ("stiff", "soft"), ("own", "prior"))
+
 GAIT_COLUMNS = (
     "subject",
     "seed",
@@ -465,6 +468,20 @@ FORCE_COLUMNS = (
     "phase_percent",
     "phantom",
 )
+STRAP_COLUMNS = (
+    "subject",
+    "robot",
+    "aware",
+    "cap",
+    "joint",
+    "strap",
+    "against",
+    "seeds",
+    "difference_deg",
+    "seed_sd_deg",
+    "told_apart",
+    "phantom",
+)
 BAR_COLUMNS = ("subject", "seed", "bar", "value", "limit", "met", "phantom")
 
 
@@ -477,8 +494,9 @@ def twin_table(
     out_cloud: Path,
     out_walks: Path,
     out_wrench: Path,
+    out_straps: Path,
 ) -> None:
-    """Write bars of every policy; joints, gait, interface cloud and wrench of every condition, one row each.
+    """Write bars of every policy; joints, gait, interface cloud and wrench of every condition; straps told apart.
 
     The folder of a file names the person, ``<SUBJECT>/seed-<N>/…``.
     """
@@ -487,7 +505,9 @@ def twin_table(
     ]
     write_table(out_bars, BAR_COLUMNS, bars)
     records = [(path.parent.parent.name, read_json(path, ("conditions", "measured"))) for path in coupled]
-    write_table(out_gait, GAIT_COLUMNS, [row for name, r in records for row in gait_rows(name, r)])
+    gait = [row for name, r in records for row in gait_rows(name, r)]
+    write_table(out_gait, GAIT_COLUMNS, gait)
+    write_table(out_straps, STRAP_COLUMNS, strap_rows(gait))
     write_table(out_cloud, CLOUD_COLUMNS, [row for name, r in records for row in cloud_rows(name, r)])
     write_table(out_walks, WALK_COLUMNS, [row for name, r in records for row in walk_rows(name, r)])
     write_table(out_wrench, FORCE_COLUMNS, [row for name, r in records for row in wrench_rows(name, r)])
@@ -575,6 +595,47 @@ def walk_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
         {"subject": subject, "survived": None, "walkers": None, **first, **known["gait"]}
         for first, known in _cases(r)
     ]
+
+
+def strap_rows(gait: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row per pair of straps: do they change a range of motion differently, by more than seeds differ?
+
+    ``gait`` are the rows of `gait_rows` of all seeds. Straps are told apart where their difference is larger than its
+    SD over the seeds and has one sign in all of two seeds or more.
+    """
+    changes: dict[tuple[Any, ...], dict[Any, float]] = {}
+    for row in gait:
+        if row["robot"] and row["rom_change_deg"] is not None:
+            key = tuple(row[name] for name in ("subject", "robot", "aware", "cap", "joint", "phantom"))
+            changes.setdefault((*key, row["condition"]), {})[row["seed"]] = row["rom_change_deg"]
+    out = []
+    for (*place, strap), by_seed in changes.items():
+        for against in ("soft", "prior", "stiff"):
+            other = changes.get((*place, against), {})
+            seeds = sorted(set(by_seed) & set(other))
+            if against == strap or not seeds or (strap, against) not in _PAIRS:
+                continue
+            off = np.array([by_seed[seed] - other[seed] for seed in seeds])
+            sd = float(off.std(ddof=1)) if len(off) > 1 else None
+            apart = sd is not None and abs(off.mean()) > sd and bool(np.all(np.sign(off) == np.sign(off[0])))
+            subject, robot, aware, cap, joint, phantom = place
+            out.append(
+                {
+                    "subject": subject,
+                    "robot": robot,
+                    "aware": aware,
+                    "cap": cap,
+                    "joint": joint,
+                    "strap": strap,
+                    "against": against,
+                    "seeds": len(seeds),
+                    "difference_deg": float(off.mean()),
+                    "seed_sd_deg": sd,
+                    "told_apart": apart,
+                    "phantom": phantom,
+                }
+            )
+    return out
 
 
 def wrench_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:

@@ -230,7 +230,7 @@ rule report_page:
         + expand(
             "results/twin/{subject}/{name}.svg",
             subject=[WALKER] if WALKER else [],
-            name=["interface", "gait"],
+            name=["interface", "gait", "speed", "wrench"],
         ),
         quality="results/quality/quality.csv",
         tightness="results/tightness/cohort.json",

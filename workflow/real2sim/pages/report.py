@@ -90,6 +90,17 @@ FIGURES = {
         "mean and SD over cycles, first seed. (g) What the robot changes in the range of motion (deg), a point per "
         "seed. Paper: Fig. 6.",
     ),
+    "speed": (
+        "Speed or strap",
+        "Change of the range of motion (deg) of hip and knee against the change of walking speed (%): a point per "
+        "strap, cap, robot and seed, filled where the simulated person takes up the speed that the robot allows. The "
+        "line is the same person as slow without a robot: what lies on it is speed, what lies off it is the strap.",
+    ),
+    "wrench": (
+        "Force of the strap",
+        "Force (N) and torque (Nm) of the strap on the robot's interface over the gait cycle (%), where a sensor "
+        "logged them and as the simulated strap exerts them without its stops; mean over strides, first seed.",
+    ),
 }
 
 _SCRIPT = """
@@ -897,6 +908,7 @@ def _validation(study: Study) -> str:
         "validation",
         "Validation on an unseen person",
         f'<div class="grid">{_figure(study, "interface")}{_figure(study, "gait")}</div>',
+        f'<div class="grid">{_figure(study, "speed")}{_figure(study, "wrench")}</div>',
         _bars(study),
         _interface_table(study),
         _gait_table(study),

@@ -138,7 +138,7 @@ def _clouds(axes: Axes, records: list[dict[str, Any]]) -> None:
         loc="lower center",
         bbox_to_anchor=(0.5, 1.0),
         ncols=2,
-        title=f"95 % of the interface midpoint\n{_robot(record)}, first of {len(records)} seeds",
+        title=f"95 % of the interface midpoint\n{_robot(record)}\nfirst of {len(records)} seeds",
     )
 
 
@@ -173,6 +173,7 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
 
 
 _MARKS = {"study": "o", "compliant": "s"}
+_HARDLY_WALKING = -40  # change of speed beyond which a condition is counted and not drawn [%]
 
 
 def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
@@ -183,23 +184,29 @@ def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
     """
     records = _records(coupled)
     with matplotlib.rc_context(style.RC):
-        figure = style.new_figure(3.4, phantom=any(r["phantom"] for r in records))
+        figure = style.new_figure(3.7, phantom=any(r["phantom"] for r in records))
         both = figure.subplots(1, 2, sharex=True)
         for axes, letter, (joint, name) in zip(both, "ab", list(JOINT_NAMES.items())[:2], strict=True):
+            axes.set_xlabel("change of speed (%)")
             _against_speed(axes, records, joint)
             style.panel_letter(axes, letter, name)
-            axes.set_xlabel("change of speed (%)")
         both[0].set_ylabel("change of range of motion (deg)")
         handles = [Line2D([], [], color=c, marker="o", linestyle="", label=n) for n, c in CONDITIONS.items()]
         handles += [
             Line2D([], [], color=style.BLACK, marker=m, mfc="none", linestyle="", label=f"{n} robot")
             for n, m in _MARKS.items()
         ]
+        for face, label in ((style.BLACK, "aware gait"), ("none", "fixed gait")):
+            handles.append(
+                Line2D(
+                    [], [], color=style.BLACK, marker="D", mfc=face, markersize=4, linestyle="", label=label
+                )
+            )
         handles.append(Line2D([], [], color=style.BLACK, linewidth=0.8, label="no robot, slower"))
         handles.append(
             Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
         )
-        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
         style.save(figure, out)
 
 
@@ -212,13 +219,17 @@ def _change(
 
 
 def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> None:
-    """Draw every condition without factors, and the person's own change, for a joint."""
+    """Draw every condition without factors, and the person's own change, for a joint; count who is hardly walking."""
+    beyond = 0
     for record in records:
         free = record["free"]
         for c in record["conditions"]:
             if c["robot_factors"] or not c["joints"][joint].get("cycles") or not c["gait"]:
                 continue
             speed, change = _change(c["gait"], c["joints"][joint], free, joint)
+            if speed < _HARDLY_WALKING:
+                beyond += 1
+                continue
             colour, mark = CONDITIONS[c["name"]], _MARKS[c["robot"]]
             face = colour if c["aware"] else "none"
             axes.plot(speed, change, mark, color=colour, markersize=3.5, mfc=face, markeredgewidth=0.8)
@@ -233,6 +244,8 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
         )
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
+    if beyond:
+        axes.set_xlabel(f"{axes.get_xlabel()}\n{beyond} beyond {_HARDLY_WALKING} % not drawn")
 
 
 def wrench_figure(*, coupled: list[Path], out: list[Path]) -> None:

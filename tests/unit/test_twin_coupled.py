@@ -282,6 +282,10 @@ def test_the_wrench_over_the_cycle_beside_a_measured_one():
     assert found["tx"]["r"] == pytest.approx(1, abs=1e-3)
     assert found["tx"]["phase_percent"] == 10
     assert found["ty"]["r"] == 0
+    # a stride with a gap in the log is left out
+    gap = other.copy()
+    gap[0, 50] = np.nan
+    assert adaptation.wrench_of(cycles, gap)["tx"]["rms_ratio"] == pytest.approx(0.5, rel=0.01)
     assert adaptation.wrench_of(np.empty((0, 101, 6))) == {}
 
 
@@ -363,7 +367,7 @@ def _record() -> dict:
 def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     record = _record()
     gait = gait_rows("S06", record)
-    assert {row["condition"] for row in gait} == {"free", "walk_normal", "walk_robot", "prior"}
+    assert {row["condition"] for row in gait} == {"free", "free_at_cap", "walk_normal", "walk_robot", "prior"}
     assert all(row["phantom"] for row in gait)
     prior = next(row for row in gait if row["condition"] == "prior" and row["joint"] == "hip_flexion")
     assert prior["rom_change_deg"] == 0
@@ -377,7 +381,7 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     walks = walk_rows("S06", record)
     assert [row["condition"] for row in walks] == [
         "free",
-        "free",
+        "free_at_cap",
         "walk_normal",
         "walk_robot",
         "prior",

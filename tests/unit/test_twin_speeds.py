@@ -8,12 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from real2sim.errors import InputError
 from real2sim.study.twin.coupled import Condition, CoupledWalk
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
 from real2sim.study.twin.gait import Reference, scaled_curves, with_speeds
 from real2sim.study.twin.policy import Policy, load_policy, save_policy
 from real2sim.study.twin.ppo import init_layers
 from real2sim.study.twin.reference import cadence_exponent
+from real2sim.study.twin.stage import load_walker
 from real2sim.study.twin.study_robot import StudyRobot
 
 from tests.unit.test_twin_coupled import LIMITS, PRIOR, REST, STUDY, STUDY_ROBOT
@@ -139,6 +141,28 @@ def test_one_speed_alone_cannot_vary_or_be_aware():
         _env(2, reference()).vary(twin_settings()["training"]["speeds"])
     with pytest.raises(ValueError, match="one speed"):
         _walk(reference(), [Condition("prior", PRIOR, 0.8, (), True)])
+
+
+def test_an_aware_walk_of_a_policy_of_one_speed_is_refused_by_name(tmp_path):
+    coupled, path = twin_settings()["coupled"], tmp_path / "policy.npz"
+    save_policy(path, _policy(adaptable()))
+    assert load_walker(path, coupled).reference.speeds is not None
+    save_policy(path, _policy(reference()))
+    load_walker(path, {**coupled, "gaits": ["fixed"]})
+    with pytest.raises(InputError, match=r"(?s)policy.npz.*twin.coupled.gaits.*twin.reference.speeds.shares"):
+        load_walker(path, coupled)
+
+
+def test_speeds_that_are_the_same_are_refused_by_name():
+    settings = copy.deepcopy(twin_settings())
+    settings["reference"]["speeds"]["shares"] = [1.0]
+    with pytest.raises(InputError, match=r"twin\.reference\.speeds\.shares"):
+        with_speeds(reference(), WHO, settings["human"], settings["reference"], 0.5)
+
+
+def test_nobody_means_to_walk_slower_than_their_gait_is_known():
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.4, (), True), Condition("prior", PRIOR, 0.4)])
+    np.testing.assert_allclose(walk._share, np.repeat([adaptable().speeds.shares[0], 1.0], 2))
 
 
 def _walk(gait: Reference, conditions: list[Condition]) -> CoupledWalk:

@@ -149,7 +149,7 @@ class Law(Protocol):
 
 
 class Mechanism:
-    """How an effect is compiled into the plant and set per simulation; every default does nothing.
+    """Part of an effect that is compiled into the plant and set per simulation; every default does nothing.
 
     This is the whole interface: a replay asks a mechanism for these attributes and methods and for no class.
 
@@ -325,7 +325,7 @@ class Effect:
 
     @property
     def exported(self) -> str:
-        """What an exported model holds of it: `NATIVE`, `PLANNED` or `CHAIN`."""
+        """Return what an exported model holds of it: `NATIVE`, `PLANNED` or `CHAIN`."""
         if self.chains.of_measurement:
             return CHAIN
         return PLANNED if self.plant.planned else NATIVE
@@ -336,7 +336,7 @@ class Effect:
         return self.plant.kinds + self.chains.kinds
 
     def fits(self, system: System) -> bool:
-        """Whether a system offers what the effect needs."""
+        """Return whether a system offers what the effect needs."""
         return self.needs <= system.offers
 
     def places(self, system: System) -> list[Where]:
@@ -398,7 +398,7 @@ class Placed:
         return np.asarray(np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale())
 
     def of_trial(self, *, held_out: bool) -> np.ndarray:
-        """Which of the parameters (p,) belong to the fitted trial, or to the held-out one."""
+        """Return which of the parameters (p,) belong to the fitted trial, or to the held-out one."""
         here = ("", "held out" if held_out else "fitted")
         return np.array([p.trial in here for p in self.effect.parameters], dtype=bool)
 

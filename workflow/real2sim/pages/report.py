@@ -184,7 +184,7 @@ class Identification:
 
 @dataclass(frozen=True)
 class Sharing:
-    """What people share: ICC and class of each parameter, priors, and what the priors cost someone left out."""
+    """Sharing between people: ICC and class of each parameter, priors, and what the priors cost someone left out."""
 
     icc: Table
     classes: Table
@@ -225,7 +225,7 @@ class Walking:
 
 @dataclass(frozen=True)
 class Study:
-    """What the page shows: ``people`` maps an id to its cohort, ``figures`` a name in `FIGURES` to its SVG."""
+    """Contents of the page: ``people`` maps an id to its cohort, ``figures`` a name in `FIGURES` to its SVG."""
 
     people: dict[str, str]
     figures: dict[str, Path]

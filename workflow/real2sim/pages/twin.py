@@ -114,7 +114,7 @@ def gait_figure(*, coupled: list[Path], out: list[Path]) -> None:
 
 
 def interface_figure(*, coupled: list[Path], out: list[Path]) -> None:
-    """Where the interface midpoint goes relative to the pelvis, from above, with 95 % ellipses (paper, Fig. 5).
+    """Draw where the interface midpoint goes relative to the pelvis, from above, with 95 % ellipses (paper, Fig. 5).
 
     ``coupled`` are a person's coupled.json, one per seed; the clouds are the first seed's.
     """

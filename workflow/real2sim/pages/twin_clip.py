@@ -16,10 +16,9 @@ from real2sim.pages.style import PHANTOM_LABEL, save_clip
 from real2sim.recording.pose_table import read_pose
 from real2sim.recording.trial import load_limits
 from real2sim.study.twin.coupled import Condition, CoupledWalk
-from real2sim.study.twin.policy import load_policy
 from real2sim.study.twin.reference import read_walks
 from real2sim.study.twin.robots import WalkingRobot
-from real2sim.study.twin.stage import cap_to_compare, read_prior, walking_robots
+from real2sim.study.twin.stage import cap_to_compare, load_walker, read_prior, walking_robots
 from real2sim.system.plant import RestPose
 
 if TYPE_CHECKING:
@@ -120,7 +119,8 @@ def twin_clip(
     """
     from PIL import Image, ImageDraw
 
-    learnt, twin = load_policy(policy), settings["twin"]
+    twin = settings["twin"]
+    learnt = load_walker(policy, twin["coupled"])
     walks = read_walks(assisted, learnt.body)
     cap, _ = cap_to_compare(walks, learnt.reference.speed, twin["coupled"])
     pose, about = read_pose(neutral)

@@ -49,7 +49,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """What is found of a claim: a number (None where there is none), a verdict and its reason."""
+    """Result for a claim: a number (None where there is none), a verdict and its reason."""
 
     here: float | None
     verdict: str

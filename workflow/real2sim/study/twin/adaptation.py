@@ -236,6 +236,7 @@ def wrench_of(cycles: np.ndarray, other: np.ndarray | None = None) -> dict[str, 
     they agree best, with the ``phase_percent`` of the cycle by which the first is late there.
     """
     cycles = cycles[np.isfinite(cycles).all(axis=(1, 2))]
+    other = None if other is None else other[np.isfinite(other).all(axis=(1, 2))]
     if not len(cycles):
         return {}
     out: dict[str, dict[str, Any]] = {}

@@ -381,9 +381,7 @@ class CoupledWalk(_Walkers):
         self._base = int(self._robot[0])
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
         if policy.reference.speeds is not None:
-            self._share = np.where(
-                self._aware, np.minimum(1.0, np.repeat([c.cap for c in conditions], walkers)), 1.0
-            )
+            self._share = self._meant(np.repeat([c.cap for c in conditions], walkers))
         robot.bind(model, self.batch, self.cap)
         self._set_conditions()
 
@@ -448,8 +446,13 @@ class CoupledWalk(_Walkers):
             return
         robot = self.batch.bind("qvel")[:, self._base]
         self._felt += (robot - self._felt) * min(1.0, self.control_s / self._coupled["speed_sense_s"])
-        wanted = np.minimum(1.0, (1 + self._coupled["lead"]) * self._felt / self.policy.reference.speed)
-        self._share = np.where(self._aware, wanted, 1.0)
+        self._share = self._meant((1 + self._coupled["lead"]) * self._felt / self.policy.reference.speed)
+
+    def _meant(self, share: np.ndarray) -> np.ndarray:
+        """Return the speed that each means to walk at (n,): the aware ``share``, no slower than their gait is known."""
+        speeds = self.policy.reference.speeds
+        slowest = 1.0 if speeds is None else float(speeds.shares[0])
+        return np.where(self._aware, np.clip(share, slowest, 1.0), 1.0)
 
     def _cadence(self) -> np.ndarray | float:
         exponent = self._coupled["cadence_exponent"]

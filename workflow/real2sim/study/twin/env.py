@@ -132,7 +132,7 @@ def observe(
     cadence: np.ndarray | float = 1.0,
     share: np.ndarray | float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the policy sees (m, OBSERVATIONS), mirrored in the second half of the cycle, and where it was (m,).
+    """Return what the policy sees (m, OBSERVATIONS), mirrored in the second half of the cycle, and where it was (m,).
 
     ``q``, ``qd`` (m, 21) joint angles and rates; ``lane_y`` (m,) [m] where the person means to walk; ``cadence`` is
     the clock's own speed, ``share`` the speed that the person means to walk at as a share of their own, 1 or (m,) both.
@@ -380,7 +380,7 @@ class WalkEnv:
         )
 
     def observation(self) -> np.ndarray:
-        """What the policy sees now (nsim, OBSERVATIONS)."""
+        """Return what the policy sees now (nsim, OBSERVATIONS)."""
         obs, self.mirrored = observe(
             self.reference,
             self.phase,
@@ -450,13 +450,13 @@ class WalkEnv:
             self.share += np.clip(self.share_goal - self.share, -most, most)
 
     def fallen(self) -> np.ndarray:
-        """Who lies, or hangs (nsim,): pelvis below three quarters of its height or inclined beyond 33 degrees."""
+        """Return who lies or hangs (nsim,): pelvis below three quarters of its height, or tilted beyond 33 degrees."""
         root = self.root()
         z, finite = root.position[:, 2], np.isfinite(self._qpos).all(axis=1)
         return np.asarray(~finite | (z < 0.75 * self._height) | (root.tilt_sq > 0.3))
 
     def off_lane(self) -> np.ndarray:
-        """Who has turned by more than 1 rad or strayed by more than 1.5 m (nsim,)."""
+        """Return who has turned by more than 1 rad or strayed by more than 1.5 m (nsim,)."""
         root = self.root()
         return np.asarray((np.abs(root.yaw) > 1.0) | (np.abs(root.position[:, 1] - self.lane_y) > 1.5))
 

@@ -704,7 +704,9 @@ def with_speeds(
     rows.sort(key=lambda row: row[0])
     shares, made_of = zip(*rows, strict=True)
     if np.any(np.diff(shares) < _LEAST_APART):
-        raise ValueError(f"speeds {np.round(shares, 3).tolist()} of the own one are not apart")
+        found = f"gaits at {np.round(shares, 3).tolist()} of the own speed"
+        expected, remedy = f"speeds {_LEAST_APART:g} apart and more", "Leave one out; 1 is always among them."
+        raise InputError(Path("config"), "twin.reference.speeds.shares", found, expected, remedy)
     table = np.stack([np.hstack([r.qpos, r.qvel, r.torque]) for r in made_of])
     speeds = Speeds(np.array(shares), table, np.array([r.stride_s for r in made_of]))
     report = {**reference.report, "speeds": [_speed_report(share, r) for share, r in rows]}

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from real2sim.artefacts import number, read_json, read_table, write_json, write_table
+from real2sim.errors import InputError
 from real2sim.geometry import AXES
 from real2sim.inference.parameters import PARAMETERS, as_dict, as_vector
 from real2sim.provenance import fingerprint, provenance, sha256
@@ -211,7 +212,8 @@ def twin_coupled(
     settings
         Slices ``twin``, ``plant`` and ``ingest``.
     """
-    learnt, twin = load_policy(policy), settings["twin"]
+    twin = settings["twin"]
+    learnt = load_walker(policy, twin["coupled"])
     prior, own = read_prior(priors), best_fit(fits)
     interface = _interface_of(neutral, limits)
     person = Measured.read(normal, assisted, learnt.body, interface[0].rotation)
@@ -224,8 +226,7 @@ def twin_coupled(
     about = read_json(record, ("phantom", "seed"))
     sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
-        "phantom": about["phantom"],
-        "seed": about["seed"],
+        **{name: about[name] for name in ("phantom", "seed")},
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
         **_free(learnt, twin, cap, person, threads),
@@ -236,6 +237,22 @@ def twin_coupled(
         "provenance": provenance(sources, PACKAGES, fingerprint(__name__)),
     }
     write_json(out, plain(content))
+
+
+def load_walker(path: Path, coupled: TwinCoupledSettings) -> Policy:
+    """Read a policy for coupled walks; ``coupled`` is the slice ``twin.coupled``.
+
+    Raises
+    ------
+    InputError
+        Where an aware person is asked for and the policy knows one speed alone.
+    """
+    policy = load_policy(path)
+    if "aware" in coupled["gaits"] and policy.reference.speeds is None:
+        found, expected = "a policy that knows one speed alone", "other speeds, for an aware gait"
+        remedy = "Set twin.reference.speeds.shares and train again, or twin.coupled.gaits: [fixed]."
+        raise InputError(path, "twin.coupled.gaits", found, expected, remedy)
+    return policy
 
 
 def _settings_of(twin: TwinSettings, own_speed: float, cap: float, source: str) -> dict[str, Any]:
@@ -391,14 +408,10 @@ def _logged_wrench(folder: Path) -> tuple[np.ndarray, np.ndarray] | None:
 # Straps that are compared with each other
 _PAIRS = (("soft", "prior"), ("stiff", "prior"), ("stiff", "soft"), ("own", "prior"))
 
+# First columns of a row of a walk
+_PLACE = ("subject", "seed", "condition", "robot", "aware", "cap", "main")
 GAIT_COLUMNS = (
-    "subject",
-    "seed",
-    "condition",
-    "robot",
-    "aware",
-    "cap",
-    "main",
+    *_PLACE,
     "joint",
     "cycles",
     "rom_deg",
@@ -412,13 +425,7 @@ GAIT_COLUMNS = (
     "phantom",
 )
 CLOUD_COLUMNS = (
-    "subject",
-    "seed",
-    "condition",
-    "robot",
-    "aware",
-    "cap",
-    "main",
+    *_PLACE,
     "robot_factor",
     "sigma_x_mm",
     "sigma_y_mm",
@@ -431,13 +438,7 @@ CLOUD_COLUMNS = (
     "phantom",
 )
 WALK_COLUMNS = (
-    "subject",
-    "seed",
-    "condition",
-    "robot",
-    "aware",
-    "cap",
-    "main",
+    *_PLACE,
     "speed_m_per_s",
     "stride_m",
     "cadence_per_min",
@@ -450,13 +451,7 @@ WALK_COLUMNS = (
     "phantom",
 )
 FORCE_COLUMNS = (
-    "subject",
-    "seed",
-    "condition",
-    "robot",
-    "aware",
-    "cap",
-    "main",
+    *_PLACE,
     "axis",
     "unit",
     "strides",
@@ -564,7 +559,7 @@ def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
     }
     yield {**first, "condition": "free"}, {"joints": r["free"], "gait": r["free"]["gait"]}
     for slower in r["free_at_speeds"]:
-        own = {"condition": "free", "cap": slower["share"], "aware": True, "main": False}
+        own = {"condition": "free_at_cap", "cap": slower["share"], "aware": True, "main": False}
         yield {**first, **own}, slower
     for name in ("walk_normal", "walk_robot"):
         if name in r["measured"]:

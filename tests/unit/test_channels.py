@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import real2sim as r2s
 from real2sim.configuration import validated
-from real2sim.recording.channels import channel_findings, drive_scales
+from real2sim.recording.channels import channel_findings, drive_scales, units_in_doubt
 from real2sim.system.description import shipped
 
 SETTINGS = validated({}, "config", Path("defaults"))["diagnosis"]["described"]["channels"]
@@ -71,3 +71,12 @@ def test_a_drive_of_another_scale_is_named_and_friction_is_none(scale, odd):
     assert [f.code for f in found] == (["drive_scale"] if odd else [])
     if odd:
         assert found[0].file == "second"
+
+
+@pytest.mark.parametrize(
+    ("values", "place"), [((30.2, 21.0), "mass, d_x"), ((95.0, 20.0), None), ((95.0, 203.0), None)]
+)
+def test_a_drive_in_volts_is_doubted_by_what_all_of_its_parameters_become(values, place):
+    plain = dict(zip(("mass", "d_x"), values, strict=True)) | {"offset": 0.1}
+    found = list(units_in_doubt(SYSTEM, plain, "lap", SETTINGS["bound_share"]))
+    assert [f.place for f in found] == ([place] if place else [])

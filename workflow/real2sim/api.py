@@ -33,7 +33,7 @@ from real2sim.effects.base import Effect, Placed
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.system_replay import supports
 from real2sim.errors import InputError
-from real2sim.recording.channels import channel_findings, drive_scales
+from real2sim.recording.channels import channel_findings, drive_scales, units_in_doubt
 from real2sim.recording.formats.recordings import Finding
 from real2sim.recording.table import Recording
 from real2sim.system.description import System
@@ -285,8 +285,7 @@ def diagnose(
         )
     tell = progress or (lambda text: print(f"{system.name}: {text}", file=sys.stderr, flush=True))
     findings = [f for r in given for f in r.findings] + list(_odd_channels(system, recordings, options))
-    for finding in findings:
-        tell(f"{finding.severity}: {finding.file}, {finding.place}: {finding.message}. {finding.action}")
+    _tell_findings(findings, tell)
     loaded = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
 
     def load(name: str, settled: bool) -> Evidence:
@@ -297,7 +296,19 @@ def diagnose(
 
     more = tuple(r.name for r in further)
     trials = Trials(train.name, held_out.name, system, load, options["diagnosis"], tell, places, more)
-    return Diagnosis(system, answer(search_both_ways(trials), options, tell), tuple(findings))
+    outcome = search_both_ways(trials)
+    plain = dict(
+        zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
+    )
+    near = options["diagnosis"]["described"]["channels"]["bound_share"]
+    doubts = list(units_in_doubt(system, plain, train.name, near))
+    _tell_findings(doubts, tell)
+    return Diagnosis(system, answer(outcome, options, tell), (*findings, *doubts))
+
+
+def _tell_findings(findings: Sequence[Finding], tell: Callable[[str], None]) -> None:
+    for finding in findings:
+        tell(f"{finding.severity}: {finding.file}, {finding.place}: {finding.message}. {finding.action}")
 
 
 def _odd_channels(

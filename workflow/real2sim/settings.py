@@ -620,6 +620,7 @@ DiagnosisDescribedChannelsSettings = TypedDict(
         "clipped_stretches": int,
         "least_levels": float,
         "most_scale": float,
+        "bound_share": float,
     },
 )
 
@@ -642,6 +643,7 @@ DiagnosisSearchSettings = TypedDict(
     "DiagnosisSearchSettings",
     {
         "screen": int,
+        "first_iterations": int,
         "iterations": int,
         "ftol": float,
         "final_iterations": int,

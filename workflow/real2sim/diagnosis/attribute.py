@@ -85,21 +85,28 @@ def plain_fit(
     problem = PlainResiduals(evidence, system)
     rng = np.random.default_rng(settings["seed"])
     drawn = (rng.uniform(problem.lower, problem.upper) for _ in range(settings["screen"]))
-    points = np.array([start, *drawn])
-    costs = problem.costs(points)
-    best, lowest = points[0], np.inf
-    for point in points[np.argsort(costs)[:2]]:
-        z, cost, _, _ = least_squares.minimise(
-            problem,
-            point,
-            np.arange(len(start)),
-            iterations=settings["iterations"],
-            ftol=1e-4,
-            keep=settings["keep_jacobian"],
-        )
-        if cost < lowest:
-            best, lowest = z, cost
-    return np.asarray(best)
+    # a start of low cost need not lead to a low one: of a resonance, far too much damping is nearer than another pitch
+    first = [_plainly(problem, point, settings, settings["first_iterations"]) for point in (start, *drawn)]
+    first.sort(key=lambda found: found[1])
+    finished = [_plainly(problem, z, settings, settings["iterations"]) for z, _ in first[:2]]
+    return min(finished, key=lambda found: found[1])[0]
+
+
+def _plainly(
+    problem: PlainResiduals, point: np.ndarray, settings: DiagnosisSearchSettings, iterations: int
+) -> tuple[np.ndarray, float]:
+    """Return searched parameters (n,) and their plain cost after some iterations from a point."""
+    if not np.isfinite(problem.costs(point[None])[0]):
+        return point, np.inf
+    z, cost, _, _ = least_squares.minimise(
+        problem,
+        point,
+        np.arange(len(point)),
+        iterations=iterations,
+        ftol=1e-4,
+        keep=settings["keep_jacobian"],
+    )
+    return np.asarray(z), float(cost)
 
 
 def is_ambiguous(effects: Sequence[Placed]) -> bool:

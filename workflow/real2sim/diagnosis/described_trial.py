@@ -38,6 +38,8 @@ _DEGREE = 5
 _TINY = 1e-12
 # Band and rate of a person's recording, at whose pace delays and filters are described [Hz]
 _BAND_HZ, _RATE_HZ = 10.0, 100.0
+# The body that a person's strap hangs on, in whose units masses are described [kg, kg m^2]
+_STRAP_KG, _STRAP_KGM2 = 3.0, 0.03
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,14 @@ class DescribedTrial:
         Both limit it: no filter can be seen whose cut-off lies above half of the rate.
         """
         return min(self._system.band_hz / _BAND_HZ, self._rate / _RATE_HZ)
+
+    @property
+    def _load(self) -> tuple[float, float]:
+        """Mass and inertia of the interface's body, in those of a strap's."""
+        if not self._system.body:
+            return 1.0, 1.0
+        body = self._plain.body(self._system.body)
+        return float(body.mass[0]) / _STRAP_KG, float(body.inertia.mean()) / _STRAP_KGM2
 
     # ---------------------------------------------------------------- start and coordinates
 
@@ -406,7 +416,7 @@ class DescribedTrial:
         measured = self._measured()
         q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))
-        scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace)
+        scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace, *self._load)
         context = self._context(measured, q, v)
         return SystemEvidence(
             measured, simulated, context, scales, self._settings, self._starts_in_equilibrium
@@ -429,6 +439,11 @@ class DescribedTrial:
             + [max(o.trusted_to, _TINY) for o in system.outputs]
             + [j.trusted_to for j in system.machine if j.logged]
         )
+        scatter = (
+            *[None] * (3 * len(marker_names)),
+            *(o.scatter for o in system.outputs),
+            *(j.scatter for j in system.machine if j.logged),
+        )
         observed_sd = self._noise_sd(quiet)
         logged_sd = self._noise_sd(levels.stack(tuple(log_columns(system).values())))
         return Measured(
@@ -439,6 +454,7 @@ class DescribedTrial:
             observed_sd,
             logged_sd,
             floor,
+            scatter,
             *self._start_sd(observed_sd, logged_sd),
             self._rest_sd(),
             self._to_axes(observed.shape[1]),

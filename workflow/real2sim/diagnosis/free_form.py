@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 _BOUND = 100.0
 # Prior scales that are tried, in units of a large force of the joint
 _SCALES = np.exp(np.linspace(-7.0, 1.5, 18))
+# How often at most, and from which ratio on, that scale is widened after a refit
+_RESCALINGS, _WIDER = 4, 1.5
 # Histories in whose place rhythms are looked for; the slowest rhythm [Hz], and frequencies per turn more in a trial
 _RHYTHMS = 4
 _SLOWEST_HZ = 0.2
@@ -341,11 +343,18 @@ def smoothed(found: Screened, known: Slopes, library: Library, base: Hypothesis,
 def _columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.ndarray, np.ndarray]:
     """Slopes (r, p) by a family's coefficients, and the weights (p,) of their prior."""
     if isinstance(family, Displacement):
-        return known.displaced[family.name], np.array(family.weights)
+        return known.displaced[family.name], _weights_of(family)
     rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
     columns = np.stack([known.columns[:, row].sum(axis=1) for row in rows], axis=1)
-    weights = np.array([row[0].weight for row in family.terms])
+    weights = _weights_of(family)
     return _of_each_trial(columns, weights, known) if family.each_trial else (columns, weights)
+
+
+def _weights_of(family: AnyFamily) -> np.ndarray:
+    """Weights (p,) of the prior of a family's coefficients."""
+    if isinstance(family, Displacement):
+        return np.array(family.weights)
+    return np.array([row[0].weight for row in family.terms])
 
 
 def _of_each_trial(columns: np.ndarray, weights: np.ndarray, known: Slopes) -> tuple[np.ndarray, np.ndarray]:
@@ -534,7 +543,31 @@ class _Trial:
             fitted = self.search.fit(effects, np.concatenate([base.z, np.zeros(len(added.coefficients))]))
         if max(fitted.chi2) >= FAILED:
             return Law(families_, fitted, -np.inf)
-        return Law(families_, fitted, ln_evidence(self.pair, fitted, self.longest) - self.origin)
+        law = Law(families_, fitted, ln_evidence(self.pair, fitted, self.longest) - self.origin)
+        return self._rescaled(law, added)
+
+    def _rescaled(self, law: Law, added: Screened) -> Law:
+        """Return the law with a wider prior of its last family, as long as it asks for that and gains by it.
+
+        The scale of the prior was estimated on the tangent. Where that was too flat it holds the coefficients back, and
+        a law that could explain a gap leaves some of it.
+        """
+        scale, weights = added.scale, _weights_of(added.family)
+        for _ in range(_RESCALINGS):
+            own = law.coefficients[-1]
+            asked = float(np.sqrt(np.mean((own / np.resize(weights, len(own))) ** 2)))
+            if asked < _WIDER * scale:
+                break
+            scale = asked
+            effects = (*law.hypothesis.effects[:-1], self.library.placed(added.family, scale))
+            fitted = self.search.fit(effects, law.hypothesis.z)
+            if max(fitted.chi2) >= FAILED or fitted.chi2[1] > law.hypothesis.chi2[1]:
+                break
+            gain = ln_evidence(self.pair, fitted, self.longest) - self.origin
+            if gain <= law.gain:
+                break
+            law = Law(law.families, fitted, gain)
+        return law
 
     def pruned(self, law: Law, price: float) -> Law:
         """Return a law without the families that gain less than ``price``, the one that is missed most first.

@@ -170,9 +170,16 @@ class Search:
         return self.afresh(screened.effects, origin[: len(origin) - own], fitted)
 
     def afresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
-        """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``."""
+        """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``.
+
+        Of an effect that has no axis, already where it is better than the fit without the effect.
+        """
         z, cost = self.fresh(effects, base)
-        if not cost < fitted.chi2[0]:
+        limit = fitted.chi2[0]
+        if not effects[-1].where.axes and self._screened_from is not None and not self.is_noise(fitted):
+            # what acts everywhere, a delay say, has bent every parameter: a start better than without it is worth a fit
+            limit = max(limit, float(np.sum(self._screened_from.residuals**2)))
+        if not cost < limit:
             return fitted
         again = self.fit(effects, z)
         return again if again.chi2[0] < fitted.chi2[0] else fitted
@@ -265,7 +272,8 @@ class Search:
         residuals = self._residuals(effects)
         lower, upper = residuals.lower, residuals.upper
         own = np.arange(len(here.z), len(lower))
-        tangents: list[Tangent] = []
+        found: list[Screened] = []
+        nothing = float(np.sum(here.residuals**2))
         for starts in _weakened(placed, placed.starts(), self._settings["weakenings"]):
             z = np.hstack([np.tile(here.z, (len(starts), 1)), starts])
             at = residuals.many(z)
@@ -276,15 +284,13 @@ class Search:
             slopes = None if logarithmic else _parabola(starts, at, base)
             for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
-                tangents.append(Tangent(z[i], at[i], np.hstack([rows, columns])))
-            if tangents:
+                tangent = Tangent(z[i], at[i], np.hstack([rows, columns]))
+                step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
+                found.append(Screened(effects, cost, tangent.z + step, tangent))
+            # a tangent that foretells more than the fit without the effect leaves was taken too far off
+            if min((s.predicted for s in found), default=np.inf) <= nothing:
                 break
         self.evaluations += residuals.evaluations
-        longest = self._settings["longest_step"]
-        steps = [_bounded_step(tangent, lower, upper, longest) for tangent in tangents]
-        found = [
-            Screened(effects, cost, t.z + step, t) for t, (step, cost) in zip(tangents, steps, strict=True)
-        ]
         return min(found, key=lambda s: s.predicted, default=None)
 
     def pairs(self, screened: Sequence[Screened], most: int) -> list[Screened]:
@@ -356,7 +362,8 @@ def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: i
     """Starts (s, n) of an effect beside ``base``: its own and on up to its bound, the axis' parameters old and new.
 
     ``strengths`` of the effect are tried between its strongest start and its bound.
-    New are the middles of their ranges: first the damping alone, then stiffness and damping.
+    New are the middles of their ranges: first the damping alone, then stiffness and damping; of an effect without an
+    axis, all of the system's parameters.
     """
     starts, (_, upper) = placed.starts(), placed.bounds()
     x = starts
@@ -375,6 +382,8 @@ def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: i
         for index in _of_axis(system.stiffness_of_axis, axis):
             freed[index] = middle[index]
         bases += [softer, freed]
+    elif not placed.where.axes:
+        bases.append(np.concatenate([middle, base[len(middle) :]]))
     return np.array([np.concatenate([one, own]) for one in bases for own in x])
 
 

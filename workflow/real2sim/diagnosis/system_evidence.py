@@ -21,6 +21,7 @@ from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Context
 from real2sim.effects.system_replay import Setup, SystemReplay, substeps
 from real2sim.recording.skin import Skin
+from real2sim.signals import Scatter
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Measured:
     the drive has no noise. ``start_sd`` and ``start_rate_sd`` map joints to the SD of their position [m, rad] and rate
     at the start, ``rest_sd`` (axes,) is that of the rest pose. ``to_axes`` (n, axes, c) maps errors of observations to
     those of the interface's coordinates. ``zero_sd`` (c + j,): SD of each channel's zero from recording to recording.
+    ``scatter`` is the noise of each channel from repeat to repeat, None where it was not measured.
     """
 
     time_s: np.ndarray
@@ -47,6 +49,7 @@ class Measured:
     observed_sd: np.ndarray
     logged_sd: np.ndarray
     floor: np.ndarray
+    scatter: tuple[Scatter | None, ...]
     start_sd: Mapping[str, float]
     start_rate_sd: Mapping[str, float]
     rest_sd: np.ndarray
@@ -57,6 +60,10 @@ class Measured:
     def sd(self) -> np.ndarray:
         """White noise SD (c + j,) of all channels."""
         return np.concatenate([self.observed_sd, self.logged_sd])
+
+    def repeated(self, low_hz: float, high_hz: float) -> np.ndarray:
+        """SD (c + j,) of noise between two frequencies from repeat to repeat, 0 where it was not measured."""
+        return np.array([0.0 if s is None else s.within(low_hz, high_hz) for s in self.scatter])
 
 
 MakeSetup = Callable[[int], Setup]
@@ -177,6 +184,7 @@ class SystemEvidence:
         """Mean square (m,) of residuals (m, n, c) before anything moves, in units of its noise."""
         first = slice(None, self.context.start)
         usual = np.mean(self.noise[:, first] ** 2, axis=(0, 1)) + self.measured.floor**2
+        usual = np.maximum(usual, self.measured.repeated(0, self.rate_hz / 2) ** 2)
         return np.asarray(np.mean(error[:, first] ** 2 / usual, axis=(1, 2)))
 
     def as_held_out(self) -> SystemEvidence:
@@ -226,7 +234,8 @@ class SystemEvidence:
         error = self._noise((), parameters, (), draws, seed)
         rng = np.random.default_rng([seed, draws])
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
-        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self.measured.floor)
+        scatter = np.array([self.measured.repeated(*edges) for edges in pairwise(self.bands.edges)])
+        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self.measured.floor, scatter)
         return replace(self, whitening=whitening, cache={**self.cache, "nuisance": nuisance})
 
     def noise_through(

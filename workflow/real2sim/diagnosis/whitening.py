@@ -54,7 +54,13 @@ class Whitening:
 
     @classmethod
     def of_noise(
-        cls, bands: Bands, error: np.ndarray, drawn: np.ndarray, nuisance: np.ndarray, floor: np.ndarray
+        cls,
+        bands: Bands,
+        error: np.ndarray,
+        drawn: np.ndarray,
+        nuisance: np.ndarray,
+        floor: np.ndarray,
+        scatter: np.ndarray | float = 0.0,
     ) -> Whitening:
         """Whiten by simulated noise.
 
@@ -68,13 +74,17 @@ class Whitening:
             Residuals (k, n, c) by one standard deviation of each per-trial nuisance parameter.
         floor
             SD (c,) below which no residual of a channel is trusted.
+        scatter
+            SD (bands, c) of all noise of a channel from repeat to repeat, 0 where it was not measured. Simulated noise
+            is part of it, so that only what is beyond counts.
         """
         coefficients, band = bands.spectrum(error), bands.index()
-        channels = error.shape[2]
-        matrices = []
+        channels, matrices = error.shape[2], []
+        told = np.broadcast_to(scatter, (len(bands.edges) - 1, channels))
         for b in range(len(bands.edges) - 1):
             rows = coefficients[:, band == b].reshape(-1, channels)
-            covariance = rows.T @ rows / max(len(rows), 1) + np.diag(floor**2)
+            covariance = rows.T @ rows / max(len(rows), 1)
+            covariance += np.diag(np.maximum(floor**2, told[b] ** 2 - np.diag(covariance)))
             matrices.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         plain = cls(bands, np.array(matrices), error + drawn, np.empty((0, 0)), np.empty(0))
         # noise and nuisance together are white after this: the inverse root of 1 + X' X

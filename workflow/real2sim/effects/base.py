@@ -32,7 +32,8 @@ class Scales:
     ``q``, ``v`` (n,) are large excursions and rates [m, rad; m/s, rad/s], ``k``, ``d`` (n,) stiffness and damping of
     the plain fit, ``inertia`` (n,) the inertia of the machine against each axis [kg, kg m^2]. ``pace`` is how many
     times faster the system moves than a person in a strap, whose band ends at 10 Hz: delays and filters are searched
-    in seconds divided, and hertz multiplied, by it.
+    in seconds divided, and hertz multiplied, by it. ``load`` and ``load_inertia`` are how many times heavier its
+    interface's body is than a strap's, of 3 kg and 0.03 kg m^2: masses and inertias are searched in units of them.
     """
 
     q: np.ndarray
@@ -41,6 +42,8 @@ class Scales:
     d: np.ndarray
     inertia: np.ndarray
     pace: float = 1.0
+    load: float = 1.0
+    load_inertia: float = 1.0
 
     @property
     def force(self) -> np.ndarray:
@@ -453,6 +456,16 @@ def seconds(scales: Scales, axis: int) -> float:
 def hertz(scales: Scales, axis: int) -> float:
     """Return the unit of a frequency: one hertz at the pace of a person [Hz]."""
     return scales.pace
+
+
+def loads(scales: Scales, axis: int) -> float:
+    """Return the unit of masses in kilograms: 1 of a person's strap."""
+    return scales.load
+
+
+def load_inertias(scales: Scales, axis: int) -> float:
+    """Return the unit of inertias in kg m^2: 1 of a person's strap."""
+    return scales.load_inertia
 
 
 def excursion(scales: Scales, axis: int) -> float:

@@ -15,6 +15,8 @@ from real2sim.effects.base import (
     InterfaceImpedance,
     Mechanism,
     Where,
+    load_inertias,
+    loads,
 )
 from real2sim.effects.chains import Context
 from real2sim.effects.planned import StandingForce
@@ -95,8 +97,8 @@ EFFECTS = (
         "robot",
         "the interface is heavier than the twin's",
         (
-            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
-            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,), loads),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,), load_inertias),
         ),
         separating_trial=_MASS,
         at_rest=AtRest((0.0, 0.0)),
@@ -111,8 +113,8 @@ EFFECTS = (
         "robot",
         "the interface is heavier than the twin's, and its weight hangs from the arm, in the neutral trial as well",
         (
-            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
-            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,), loads),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,), load_inertias),
         ),
         separating_trial=_MASS,
         at_rest=AtRest((0.0, 0.0)),
@@ -130,10 +132,10 @@ EFFECTS = (
         "a part sits on the interface off its centre, in the neutral trial as well: the lift balances some of its"
         " weight, nothing its moments",
         (
-            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,)),
-            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,)),
-            *(EffectParameter(f"moment_{c}", "kgm", -3.0, 3.0, (0.0,)) for c in "xyz"),
-            EffectParameter("unbalanced", "kg", -2.0, 40.0, (0.0,)),
+            EffectParameter("mass", "kg", -2.0, 40.0, (2.0,), loads),
+            EffectParameter("inertia", "kgm2", -0.02, 2.0, (0.02,), load_inertias),
+            *(EffectParameter(f"moment_{c}", "kgm", -3.0, 3.0, (0.0,), loads) for c in "xyz"),
+            EffectParameter("unbalanced", "kg", -2.0, 40.0, (0.0,), loads),
         ),
         separating_trial=_MASS,
         at_rest=AtRest((0.0,) * 6),

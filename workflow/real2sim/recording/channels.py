@@ -123,6 +123,29 @@ def drive_scales(
                 )
 
 
+def units_in_doubt(system: System, values: Mapping[str, float], name: str, near: float) -> Iterator[Finding]:
+    """Yield a doubt about units where all that a force is made of stands at one end of what was thought possible.
+
+    ``values`` are the parameters of the plain fit to the recording ``name``. Masses, stiffness and damping are a force
+    over a motion: where each of two and more is within a share ``near`` of its range of the same bound, the force or
+    the motion came in another unit.
+    """
+    scaled = [p for p in system.parameters if p.log and p.sets in ("mass", "stiffness", "damping")]
+    span = [np.log(p.upper / p.lower) for p in scaled]
+    above = np.array([np.log(values[p.name] / p.lower) / s for p, s in zip(scaled, span, strict=True)])
+    for end, at_end in (("lower", above < near), ("upper", above > 1 - near)):
+        if len(scaled) >= 2 and at_end.all():
+            limits = ", ".join(f"{p.name} at {values[p.name]:.4g} {p.unit}" for p in scaled)
+            yield Finding(
+                "units_in_doubt",
+                "warning",
+                name,
+                ", ".join(p.name for p in scaled),
+                f"all that scales with the force stands at its {end} bound ({limits})",
+                "Used as it is. Is a force in N, a motion in m or rad? A drive's voltage or current needs its gain.",
+            )
+
+
 def _motion(position: np.ndarray, rate_hz: float, band_hz: float) -> np.ndarray:
     """Return acceleration, rate, position and one (n, 4) of a position below the band."""
     smooth = signals.lowpass(signals.bridged(position[:, None]), rate_hz, min(band_hz, 0.4 * rate_hz), 4)[

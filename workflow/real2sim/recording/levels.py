@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from real2sim import signals
+from real2sim.signals import Scatter
 
 # Share of the frequencies up to half the sample rate that a level is read off, at least
 _LEAST_SHARE = 0.15
@@ -17,6 +18,8 @@ _PERIOD_OFF = 0.03
 _PARTS, _LATE = 16, 3
 # Samples of one repeat at least
 _LEAST_SAMPLES = 8
+# Of what repeats do not share, samples for each weight of the drive at least, and share of a repeat that those reach
+_SAMPLES_A_WEIGHT, _REACH = 8, 0.125
 
 
 def white_sd(values: np.ndarray) -> np.ndarray:
@@ -56,8 +59,31 @@ def repeats(values: np.ndarray, samples: float, first: int = 0) -> np.ndarray:
     return np.stack([np.interp(at, sample, column) for column in fine.T], axis=-1)
 
 
-def scatter_of_repeats(values: np.ndarray, samples: float, first: int = 0) -> tuple[np.ndarray, int, float]:
-    """Return the SD (c,) of series (n, c) about the mean of their repeats, how many there are, and their length.
+def beyond_drive(off: np.ndarray, driven: np.ndarray, freedom: int) -> np.ndarray:
+    """Return what a measured drive does not explain of the departures (r, m, c) of repeats from their mean.
+
+    A command that is given twice is never carried out twice alike. Departures (r, m, k) of what drives the system were
+    measured, and what they explain linearly, by weights at instants before and after, is motion and no noise. The mean
+    square is corrected for the number of weights; samples at both ends, whose neighbours are unknown, are left out.
+    ``freedom`` is how many of the r repeats are free.
+    """
+    r, m, k = driven.shape
+    reach = min(int(_REACH * m), (freedom * m // (_SAMPLES_A_WEIGHT * max(k, 1)) - 1) // 2)
+    if not k or reach < 0:
+        return off
+    lags = np.lib.stride_tricks.sliding_window_view(driven, 2 * reach + 1, axis=1)
+    count = lags.shape[1]
+    design = lags.reshape(r * count, -1)
+    inner = off[:, reach : reach + count].reshape(r * count, -1)
+    left = inner - design @ np.linalg.lstsq(design, inner, rcond=None)[0]
+    samples = freedom * count
+    return np.asarray(left.reshape(r, count, -1) * np.sqrt(samples / (samples - design.shape[1])))
+
+
+def scatter_of_repeats(
+    values: np.ndarray, samples: float, rate_hz: float, first: int = 0, driven: tuple[int, ...] = ()
+) -> tuple[tuple[Scatter, ...], int, float]:
+    """Return the noise of each column of series (n, c) about the mean of its repeats, their number and their length.
 
     Parameters
     ----------
@@ -66,6 +92,8 @@ def scatter_of_repeats(values: np.ndarray, samples: float, first: int = 0) -> tu
         each varies.
     first
         First sample of the first repeat.
+    driven
+        Columns that drive the others: what they explain of the difference between repeats is no noise.
 
     Raises
     ------
@@ -84,13 +112,26 @@ def scatter_of_repeats(values: np.ndarray, samples: float, first: int = 0) -> tu
     near = samples * _PERIOD_OFF / 30
     best = float(minimize_scalar(apart, bounds=(best - near, best + near), method="bounded").x)
     laps = repeats(values, best, first)
-    return np.sqrt(laps.var(axis=0, ddof=1).mean(axis=0)), len(laps), best
+    return _scatter(laps - laps.mean(axis=0), rate_hz, driven), len(laps), best
 
 
-def scatter_of_pair(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the SD (c,) of two series (n, c), (m, c) of the same motion about their mean.
+def _scatter(off: np.ndarray, rate_hz: float, driven: tuple[int, ...]) -> tuple[Scatter, ...]:
+    """Return the noise of each column of departures (r, m, c) of repeats from their mean."""
+    freedom = len(off) - 1
+    left = beyond_drive(off, off[:, :, list(driven)], freedom)
+    return tuple(
+        Scatter.of_repeats((off if c in driven else left)[:, :, c], freedom, rate_hz)
+        for c in range(off.shape[2])
+    )
+
+
+def scatter_of_pair(
+    one: np.ndarray, other: np.ndarray, rate_hz: float, driven: tuple[int, ...] = ()
+) -> tuple[Scatter, ...]:
+    """Return the noise of each column of two series (n, c), (m, c) of the same motion about their mean.
 
     Their clocks may be apart by a part of a sample, or by up to three: the second is moved to where it agrees best.
+    ``driven`` as of `scatter_of_repeats`.
 
     Raises
     ------
@@ -109,4 +150,5 @@ def scatter_of_pair(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         apart = float(np.mean(((moved - middle) / usual) ** 2))
         if apart < least:
             best, least = moved, apart
-    return np.asarray(np.sqrt(np.mean((best - middle) ** 2, axis=0) / 2))
+    half = (best - middle) / 2
+    return _scatter(np.stack([half, -half]), rate_hz, driven)

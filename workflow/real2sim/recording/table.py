@@ -18,6 +18,7 @@ from real2sim.recording.formats.joint_states import read_joint_states
 from real2sim.recording.formats.recordings import Finding
 from real2sim.recording.formats.text import check_number_of_names
 from real2sim.recording.levels import scatter_of_pair, scatter_of_repeats
+from real2sim.signals import Scatter
 from real2sim.system.description import POSE, System
 
 TIME = "time_s"
@@ -33,13 +34,15 @@ _MOST_UNPACKED, _SMALL = 5, 1 << 24
 class Recording:
     """One trial: ``columns`` (n,) by name [SI] at ``time_s`` (n,), evenly spaced [s]; NaN where a marker was lost.
 
-    ``findings`` lists what was odd in the file and what was done about it (docs/quality-codes.md).
+    ``findings`` lists what was odd in the file and what was done about it (docs/quality-codes.md); ``driving`` are the
+    columns of what drives the system's joints.
     """
 
     name: str
     time_s: np.ndarray
     columns: Mapping[str, np.ndarray]
     findings: tuple[Finding, ...] = ()
+    driving: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, system: System, path: Path | str) -> Recording:
@@ -74,7 +77,7 @@ class Recording:
         columns = {c: _numbers(table[c], source) for c in (TIME, *wanted)}
         time_s = columns.pop(TIME)
         _check_time(time_s, source)
-        return cls(name, time_s, columns)
+        return cls(name, time_s, columns, driving=tuple(system.drive.columns.values()))
 
     @cached_property
     def step_s(self) -> float:
@@ -92,11 +95,12 @@ class Recording:
 
     def scatter_of_repeats(
         self, period_s: float, from_s: float = 0.0, to_s: float | None = None
-    ) -> dict[str, float]:
-        """Return the SD of every column from repeat to repeat of a motion, about the mean of its repeats, in its unit.
+    ) -> dict[str, Scatter]:
+        """Return the noise of every column from repeat to repeat of a motion, about the mean of its repeats.
 
-        What two laps or cycles under the same command do not share is noise, whatever the model. `System.trusting`
-        takes it as the level below which no residual is trusted.
+        What two laps or cycles under the same command do not share is noise, whatever the model, but for what the
+        measured drive explains of it. The answer is how loud it is (``sd`` in the column's unit) and at which
+        frequencies. `System.trusting` takes it as the level below which no residual is trusted, band by band.
 
         Parameters
         ----------
@@ -114,7 +118,9 @@ class Recording:
         within = (self.time_s >= from_s) & (self.time_s <= last)
         values = np.column_stack([column[within] for column in self.columns.values()])
         try:
-            sd, _, _ = scatter_of_repeats(values, period_s / self.step_s)
+            scatter, _, _ = scatter_of_repeats(
+                values, period_s / self.step_s, self.rate_hz, driven=self._driven
+            )
         except ValueError as error:
             raise InputError(
                 self.name,
@@ -124,10 +130,10 @@ class Recording:
                 "Give the part of the recording in which the motion repeats, and its period.",
                 "value",
             ) from error
-        return dict(zip(self.columns, map(float, sd), strict=True))
+        return dict(zip(self.columns, scatter, strict=True))
 
-    def scatter_to(self, other: Recording) -> dict[str, float]:
-        """Return the SD of every column between two recordings under the same command, as `scatter_of_repeats`.
+    def scatter_to(self, other: Recording) -> dict[str, Scatter]:
+        """Return the noise of every column between two recordings under the same command, as `scatter_of_repeats`.
 
         Raises
         ------
@@ -136,12 +142,16 @@ class Recording:
         """
         one, two = (np.column_stack([r.columns[name] for name in self.columns]) for r in (self, other))
         try:
-            sd = scatter_of_pair(one, two)
+            scatter = scatter_of_pair(one, two, self.rate_hz, self._driven)
         except ValueError as error:
             raise InputError(
                 other.name, "", str(error), f"as many samples as {self.name}", "Give a longer part.", "value"
             ) from error
-        return dict(zip(self.columns, map(float, sd), strict=True))
+        return dict(zip(self.columns, scatter, strict=True))
+
+    @property
+    def _driven(self) -> tuple[int, ...]:
+        return tuple(i for i, name in enumerate(self.columns) if name in self.driving)
 
     def markers(self, names: tuple[str, ...]) -> np.ndarray:
         """Return marker paths (n, k, 3) [m, world]."""

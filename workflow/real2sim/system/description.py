@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
+from real2sim.signals import Scatter
 
 POSE, PATH, FORCE = "pose", "path", "force"
 STIFFNESS, DAMPING, MASS = "stiffness", "damping", "mass"
@@ -35,13 +36,15 @@ class Impedance:
 class MachineJoint:
     """One joint of the machine: its controller's impedance (None: passive), and whether its position is logged.
 
-    ``trusted_to`` [m, rad]: no residual of its log is trusted beyond this.
+    ``trusted_to`` [m, rad]: no residual of its log is trusted beyond this, nor beyond its ``scatter`` from repeat to
+    repeat, band by band.
     """
 
     name: str
     impedance: Impedance | None = None
     logged: bool = True
     trusted_to: float = 1e-4
+    scatter: Scatter | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,8 @@ class Output:
 
     ``trusted_to`` is the SD below which no residual is trusted, in the column's unit; 0 where its noise alone counts.
     ``zero_sd``: the zero of the column differs so much from recording to recording (SD), as that of a force sensor
-    does; 0 where it stays.
+    does; 0 where it stays. ``scatter`` is the column's noise from repeat to repeat, where that was measured: no
+    residual is trusted beyond it, band by band.
     """
 
     column: str
@@ -108,6 +112,7 @@ class Output:
     quantity: str = "position"
     trusted_to: float = 0.0
     zero_sd: float = 0.0
+    scatter: Scatter | None = None
 
 
 @dataclass(frozen=True)
@@ -231,20 +236,16 @@ class System:
                 "value",
             )
 
-    def trusting(self, levels: Mapping[str, float]) -> System:
-        """The same system whose outputs and logs are trusted no further than ``levels``, SD by column in its unit.
+    def trusting(self, levels: Mapping[str, float | Scatter]) -> System:
+        """The same system whose outputs and logs are trusted no further than ``levels``, by column.
 
-        Such levels come from repeats (`Recording.scatter_of_repeats`). Columns that it does not name stay as they are;
-        a level that is larger already stays too.
+        A level is a `Scatter` from repeats (`Recording.scatter_of_repeats`), which counts band by band, or the SD of
+        white noise in the column's unit. Columns that it does not name stay as they are; an SD that is larger already
+        stays too.
         """
         units = self.joint_units
-        outputs = tuple(
-            replace(o, trusted_to=max(o.trusted_to, float(levels.get(o.column, 0.0)))) for o in self.outputs
-        )
-        machine = tuple(
-            replace(j, trusted_to=max(j.trusted_to, float(levels.get(f"{j.name}_{units[j.name]}", 0.0))))
-            for j in self.machine
-        )
+        outputs = tuple(_trusted(o, levels.get(o.column)) for o in self.outputs)
+        machine = tuple(_trusted(j, levels.get(f"{j.name}_{units[j.name]}")) for j in self.machine)
         return replace(self, outputs=outputs, machine=machine)
 
     def with_model(
@@ -367,6 +368,15 @@ def _machine_joint(name: str, given: Mapping[str, Any]) -> MachineJoint:
     held = given["stiffness"] is not None or given["damping"] is not None
     impedance = Impedance(float(given["stiffness"] or 0.0), float(given["damping"] or 0.0)) if held else None
     return MachineJoint(name, impedance, given["logged"], float(given["trusted_to"]))
+
+
+_Channel = TypeVar("_Channel", Output, MachineJoint)
+
+
+def _trusted(channel: _Channel, level: float | Scatter | None) -> _Channel:
+    if isinstance(level, Scatter):
+        return replace(channel, scatter=level)
+    return replace(channel, trusted_to=max(channel.trusted_to, float(level or 0.0)))
 
 
 def _axis(name: str, given: Mapping[str, Any]) -> Axis:

@@ -32,7 +32,7 @@ machine = importlib.import_module("machine")
 WINDOW, STARTS = 1000, (0, 250, 500, 750, 1000)
 RECORDS = ("arrow_begins", "arrow_again")
 OUTPUT, INPUT = "output_m", "input_N"
-# Below it, the derivatives of the output are taken [Hz]; rate at which injected friction has three quarters of its force
+# Derivatives of the output are taken below a band [Hz]; rate at which injected friction has three quarters of its force
 BAND_HZ, RUBBING_RATE = 200.0, 1e-4
 # Names that are the published cause in another form
 KIN = {
@@ -126,10 +126,10 @@ EFFECTS = {
     "clock_drift": Effect(("clock_drift",), drifting, (500.0, 2000.0, 5000.0), "drift", 1e-6),
     "outliers": Effect(("outliers",), jumping, (0.003, 0.01, 0.03)),
     "filter": Effect(("filter_lag",), filtered, (400.0, 150.0, 60.0), "cutoff"),
-    # the input's RMS is 1.4 mN, the mass 5.3 g, the drift a share of the largest output
+    # the input's RMS is 1.4 mN, the mass 5.3 g, the drift a share of the largest output (its slow noise: 0.1)
     "friction": Effect(("coulomb", "lugre", "hysteresis"), rubbing, (1e-4, 3e-4, 6e-4), "force"),
     "mass": Effect(("added_mass",), heavier, (5e-5, 2.5e-4, 1e-3), "mass", known_mass=True),
-    "drift": Effect(("migration", "creep", "marker_drift"), wandering, (0.03, 0.1, 0.3)),
+    "drift": Effect(("migration", "creep", "marker_drift"), wandering, (0.1, 0.3, 1.0)),
 }
 
 
@@ -220,13 +220,13 @@ def jobs_of(options: argparse.Namespace) -> list[tuple[Callable[..., dict[str, o
     if options.what == "nulls":
         return [(on_silverbox, (options.data, pair, "", 0.0)) for pair in all_pairs]
     # a few pairs for each effect and size
-    every = max(1, len(all_pairs) // 5)
+    every = max(1, len(all_pairs) // 3)
     return [
         (on_silverbox, (options.data, pair, effect, size))
         for effect, one in EFFECTS.items()
         if not options.effect or effect in options.effect
         for size in one.sizes
-        for pair in all_pairs[::every][:5]
+        for pair in all_pairs[::every][:3]
     ]
 
 

@@ -106,7 +106,9 @@ def held_out_rms(answer: r2s.Diagnosis) -> tuple[float, float]:
     pair = answer.answer.found.pair
     evidence = pair.train if pair.exchanged else pair.held_out
     seen = evidence.measured.observed
-    both = (simulate(evidence, pair, h) for h in (answer.answer.found.attribution.plain, answer.answer.fitted))
+    both = (
+        simulate(evidence, pair, h) for h in (answer.answer.found.attribution.plain, answer.answer.fitted)
+    )
     plain, best = (float(np.sqrt(np.nanmean((path - seen) ** 2))) for path in both)
     return plain, best
 

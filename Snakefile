@@ -52,6 +52,7 @@ rule all:
         rules.paper_tables.output,
         rules.claims.output,
         SHARE_TABLES,
+        rules.diagnosis.input,
         PEOPLE_PAGES,
         expand("results/people/{subject}/interface.xml", subject=VALIDATION),
         "results/tightness/cohort.json",

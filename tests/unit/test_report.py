@@ -119,10 +119,11 @@ def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeyp
     report_page(**given, title="Many", out=out, diagnoses=diagnoses)
     page, content = _parsed(out)
     assert page.open == []
-    assert page.text.count("5 people, one by one") == 5
+    assert page.text.count("5 people, one by one") == 6
     assert "The verdicts on 4 people one by one stand in the table below" in page.text
     assert "Parameters of S01" not in page.text
-    assert "Diagnoses of 3 people" in page.text
+    assert "The answers for 3 people, and how many have each: slack (3)" in page.text
+    assert "The first 2 of them:" in page.text
     assert "each fit file names its own" in page.text
     assert len(content) < len(path.read_text(encoding="utf-8"))
 

@@ -69,6 +69,7 @@ COMMANDS = {
     "convergence-figure": "real2sim.pages.fits:convergence_figure",
     "icc-figure": "real2sim.pages.fits:icc_figure",
     "coverage-figure": "real2sim.pages.coverage:coverage_figure",
+    "gap-figure": "real2sim.pages.gap:gap_figure",
     "loso-figure": "real2sim.pages.fits:loso_figure",
     "priors-table": "real2sim.pages.tables:priors_table",
     "cross-trial-table": "real2sim.pages.tables:cross_trial_table",

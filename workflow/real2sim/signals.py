@@ -6,12 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.fft import dct
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, firwin, sosfiltfilt, upfirdn
-
-# Degrees of freedom that the level of a band is told by, at least: to 20 %
-_LEAST_TOLD = 16
 
 # What the cubic across a gap is fitted to on either side: two samples determine it, four halve the effect of noise, and
 # at high rates four samples are so short a time that their noise swings the cubic far out between them [s].
@@ -20,36 +16,23 @@ _SUPPORT, _SUPPORT_S = 4, 0.04
 _INTERPOLATION = 32
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Scatter:
-    """Noise of a column from repeat to repeat.
+    """Noise of a column from repeat to repeat, in the column's unit.
 
-    ``sd`` is that over all frequencies, in the column's unit; ``power`` (m,) the mean square of its cosine coefficients
-    at ``hz`` (m,), each of so many ``freedom`` [1]. Of white noise, every coefficient has the power ``sd ** 2``.
+    ``zero_sd`` is the SD of the mean of a repeat, ``sd`` that of a sample about it.
     """
 
     sd: float
-    hz: np.ndarray
-    power: np.ndarray
-    freedom: int
+    zero_sd: float
 
     @classmethod
-    def of_repeats(cls, apart: np.ndarray, freedom: int, rate_hz: float) -> Scatter:
+    def of_repeats(cls, apart: np.ndarray, freedom: int) -> Scatter:
         """Return the noise of repeats (r, m) about their mean, which holds ``freedom`` of the r repeats."""
-        square = dct(apart, axis=1, norm="ortho") ** 2
-        hz = np.arange(apart.shape[1]) * rate_hz / (2 * apart.shape[1])
-        sd = float(np.sqrt(np.sum(apart**2) / (freedom * apart.shape[1])))
-        return cls(sd, hz, square.sum(axis=0) / freedom, freedom)
-
-    def within(self, low_hz: float, high_hz: float) -> float:
-        """Return the SD of white noise that is as loud as this one between two frequencies.
-
-        Where the repeats are too short to tell the band, the nearest frequencies that they tell count with it.
-        """
-        off = np.maximum(np.maximum(low_hz - self.hz, self.hz - high_hz), 0)
-        order = np.argsort(off, kind="stable")
-        count = max(int(np.sum((self.hz >= low_hz) & (self.hz < high_hz))), -(-_LEAST_TOLD // self.freedom))
-        return float(np.sqrt(self.power[order[:count]].mean()))
+        zero = apart.mean(axis=1, keepdims=True)
+        samples = freedom * (apart.shape[1] - 1)
+        sd, zero_sd = np.sqrt(np.sum((apart - zero) ** 2) / samples), np.sqrt(np.sum(zero**2) / freedom)
+        return cls(float(sd), float(zero_sd))
 
 
 def segments(good: np.ndarray) -> list[slice]:

@@ -49,8 +49,8 @@ rule diagnose:
         "../envs/real2sim.yaml"
     threads: DIAGNOSIS_THREADS
     resources:
-        mem_mb=1000,
-        runtime=15,
+        mem_mb=3000,  # two trials of 30 s whose laws are measured without a name take 2.3 GB
+        runtime=30,
     params:
         train=lambda wildcards, input: Path(input.train).parent,
         held_out=lambda wildcards, input: Path(input.held_out).parent,

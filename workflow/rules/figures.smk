@@ -5,7 +5,30 @@ Outputs: results/figures/*.{png,pdf,svg}, results/tables/*.csv, results/report.h
 Steps:   one rule per figure or table.
 """
 
-FIGURES = ["tightness", "convergence", "icc", "coverage", "loso"]
+FIGURES = ["gap", "tightness", "convergence", "icc", "coverage", "loso"]
+
+
+rule gap_figure:
+    """What the plain model costs everyone, what the diagnosed one does, and what noise does."""
+    input:
+        diagnoses="results/diagnosis/diagnosis.csv",
+    output:
+        multiext("results/figures/gap", ".pdf", ".svg"),
+        report("results/figures/gap.png", caption="../report/gap.rst", category="Diagnosis"),
+    log:
+        "logs/figures/gap_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/gap_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("gap-figure"),
+    shell:
+        "python -m real2sim gap-figure --diagnoses {input.diagnoses:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule tightness_figure:
@@ -215,14 +238,6 @@ rule identifiability_table:
         " | tee {log:q}"
 
 
-# a diagnosis costs a minute per person: beside the unseen people's, the report holds those that were asked for
-REPORTED = [
-    name
-    for name in DIAGNOSED
-    if name in VALIDATION or Path(f"results/diagnosis/{name}/diagnosis.json").exists()
-]
-
-
 rule report_page:
     """The study on one page that needs no other file."""
     input:
@@ -248,7 +263,7 @@ rule report_page:
         bars=TWIN_TABLES["bars"],
         refined=REFINED,
         fits=fits_of(CALIBRATION),
-        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
+        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=DIAGNOSED),
     output:
         "results/report.html",
     log:

@@ -458,10 +458,11 @@ class DescribedTrial:
             *self._start_sd(observed_sd, logged_sd),
             self._rest_sd(),
             self._to_axes(observed.shape[1]),
-            np.array(
+            np.maximum(
                 [0.0] * (3 * len(marker_names))
                 + [o.zero_sd for o in system.outputs]
-                + [0.0] * logged.shape[1]
+                + [0.0] * logged.shape[1],
+                [0.0 if s is None else s.zero_sd for s in scatter],
             ),
         )
 

@@ -12,11 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from real2sim.diagnosis.decide import UNKNOWN, Candidate, Decision, with_layers
 from real2sim.diagnosis.free_form import Law, Measured
 from real2sim.diagnosis.kin import is_kin_of
+from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.trials import Found, candidates_of
 
 if TYPE_CHECKING:
@@ -54,14 +53,12 @@ def layered(
         for law in measured.laws
         if named is None or not is_kin_of(law, named, measured.library, found.pair, main_share)
     ]
-    # the first layer is what explains most by itself: a set that one law does better than only mends that law
-    single = min((x.deviance for x in alone if len(x.names) == 1), default=np.inf)
     beside: dict[int, Law] = {}
     on_top: dict[int, Candidate] = {}
     for index in _worth_a_layer(found, decision, options):
-        if sets[index].deviance > single:
-            continue
         own = found.attribution.hypotheses[index]
+        if _only_mends(sets[index], own, found, measured, options):
+            continue
         # the best law alone is also tried beside the set: what the set adds to it is asked of nothing else
         tried = [
             law
@@ -79,6 +76,21 @@ def layered(
             progress(f"{own.key} with a {kind} law on top: deviance {told[best].deviance:.0f}")
     decision = with_layers(decision, sets, plain, on_top, alone, found.samples, options["calibration"])
     return decision, Layers(measured, beside)
+
+
+def _only_mends(
+    candidate: Candidate, own: Hypothesis, found: Found, measured: Measured, options: DiagnosisSettings
+) -> bool:
+    """Return whether one measured law of another kind does better than a set, which then only mends that law.
+
+    The first layer is what explains most by itself. A law of the set's own kind is that set with another equation.
+    """
+    main_share = options["free_form"]["main_share"]
+    return any(
+        found.candidate(law.hypothesis, options, [law.families[0].key]).deviance < candidate.deviance
+        for law in measured.laws
+        if len(law.families) == 1 and not is_kin_of(law, own, measured.library, found.pair, main_share)
+    )
 
 
 def _worth_a_layer(found: Found, decision: Decision, options: DiagnosisSettings) -> list[int]:

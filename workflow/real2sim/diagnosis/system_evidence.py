@@ -61,9 +61,10 @@ class Measured:
         """White noise SD (c + j,) of all channels."""
         return np.concatenate([self.observed_sd, self.logged_sd])
 
-    def repeated(self, low_hz: float, high_hz: float) -> np.ndarray:
-        """SD (c + j,) of noise between two frequencies from repeat to repeat, 0 where it was not measured."""
-        return np.array([0.0 if s is None else s.within(low_hz, high_hz) for s in self.scatter])
+    @property
+    def repeated(self) -> np.ndarray:
+        """SD (c + j,) of noise from repeat to repeat without that of the zeros, 0 where it was not measured."""
+        return np.array([0.0 if s is None else s.sd for s in self.scatter])
 
 
 MakeSetup = Callable[[int], Setup]
@@ -184,7 +185,7 @@ class SystemEvidence:
         """Mean square (m,) of residuals (m, n, c) before anything moves, in units of its noise."""
         first = slice(None, self.context.start)
         usual = np.mean(self.noise[:, first] ** 2, axis=(0, 1)) + self.measured.floor**2
-        usual = np.maximum(usual, self.measured.repeated(0, self.rate_hz / 2) ** 2)
+        usual = np.maximum(usual, self.measured.repeated**2)
         return np.asarray(np.mean(error[:, first] ** 2 / usual, axis=(1, 2)))
 
     def as_held_out(self) -> SystemEvidence:
@@ -234,8 +235,9 @@ class SystemEvidence:
         error = self._noise((), parameters, (), draws, seed)
         rng = np.random.default_rng([seed, draws])
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
-        scatter = np.array([self.measured.repeated(*edges) for edges in pairwise(self.bands.edges)])
-        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self.measured.floor, scatter)
+        whitening = Whitening.of_noise(
+            self.bands, error, drawn, nuisance, self.measured.floor, self.measured.repeated
+        )
         return replace(self, whitening=whitening, cache={**self.cache, "nuisance": nuisance})
 
     def noise_through(

@@ -75,16 +75,15 @@ class Whitening:
         floor
             SD (c,) below which no residual of a channel is trusted.
         scatter
-            SD (bands, c) of all noise of a channel from repeat to repeat, 0 where it was not measured. Simulated noise
+            SD (c,) of all noise of a channel from repeat to repeat, 0 where it was not measured. Simulated noise
             is part of it, so that only what is beyond counts.
         """
         coefficients, band = bands.spectrum(error), bands.index()
         channels, matrices = error.shape[2], []
-        told = np.broadcast_to(scatter, (len(bands.edges) - 1, channels))
         for b in range(len(bands.edges) - 1):
             rows = coefficients[:, band == b].reshape(-1, channels)
             covariance = rows.T @ rows / max(len(rows), 1)
-            covariance += np.diag(np.maximum(floor**2, told[b] ** 2 - np.diag(covariance)))
+            covariance += np.diag(np.maximum(floor**2, scatter**2 - np.diag(covariance)))
             matrices.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         plain = cls(bands, np.array(matrices), error + drawn, np.empty((0, 0)), np.empty(0))
         # noise and nuisance together are white after this: the inverse root of 1 + X' X

@@ -125,7 +125,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     rows = []
     for path in diagnoses:
         d = read_json(path, _KEYS)
-        named, gap = d["verdict"] not in _NOT_EFFECTS, d["gap"]
+        gap = d["gap"]
         rows.append(
             {
                 "subject": d["subject"],
@@ -137,7 +137,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
                 "J_base": gap["J_base"],
                 "J_floor": gap["J_floor"],
                 "J_with_effect": gap["J_with_effect"],
-                "gap_closed": _closed(gap) if named else None,
+                "gap_closed": gap_closed(d),
                 "misfit_sd": _misfit_sd(d),
                 "next_trial": d["next_trial"],
                 "train": " ".join(d["train"]),
@@ -154,6 +154,11 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
 def _misfit_sd(d: Mapping[str, Any]) -> float | None:
     misfit = d.get("misfit")
     return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
+
+
+def gap_closed(d: Mapping[str, Any]) -> float | None:
+    """Share of J above its floor that the answer of diagnosis.json closes; None where it names no cause."""
+    return None if d["verdict"] in _NOT_EFFECTS else _closed(d["gap"])
 
 
 def digest(d: Mapping[str, Any]) -> str:

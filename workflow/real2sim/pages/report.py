@@ -16,7 +16,7 @@ from typing import Any
 from real2sim.artefacts import number, read_json, read_table
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, unit
-from real2sim.pages.diagnosis import digest
+from real2sim.pages.diagnosis import digest, gap_closed
 from real2sim.pages.page import (
     bar,
     document,
@@ -44,6 +44,12 @@ _DASH = "\N{EN DASH}"
 
 # By the name of the figure's file: title, and what it shows with units and place in the paper
 FIGURES = {
+    "gap": (
+        "The gap of everyone",
+        "Cost J (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain model of strap and "
+        "robot; diamond, the same with the diagnosed cause in it; bar, what measurement noise alone costs. Where "
+        "circle and bar meet there is no gap to explain, and the answer is none. In brackets: its probability.",
+    ),
     "tightness": (
         "Tightness sweep",
         "Allowable motion against normalised tightness (no unit; 0 is the selected level, positive is "
@@ -874,31 +880,76 @@ def _regression(study: Study) -> str:
 def _diagnoses(study: Study) -> str:
     if not study.diagnoses:
         return ""
-    people = "\n".join(
-        folded(f"{d['subject']}: {_words(d['verdict'])}", digest(d), unfolded=i == 0)
-        for i, d in enumerate(study.diagnoses[:MANY_PEOPLE])
+    one_by_one = "\n".join(
+        folded(f"{d['subject']}: {_answer_of(d)}", digest(d)) for d in study.diagnoses[:MANY_PEOPLE]
     )
     if len(study.diagnoses) > MANY_PEOPLE:
-        counts = Counter(_words(d["verdict"]) for d in study.diagnoses).most_common()
-        rows = [[escape(verdict), str(n)] for verdict, n in counts]
-        people = (
-            table(
-                ["Verdict", "People"],
-                rows,
-                caption=f"Diagnoses of {len(study.diagnoses)} people",
-                numeric=(1,),
-            )
-            + paragraph(f"The first {MANY_PEOPLE} of them:")
-            + people
-        )
+        one_by_one = paragraph(f"The first {MANY_PEOPLE} of them:") + one_by_one
     return section(
         "diagnosis",
         "Why simulation and measurement differ",
-        paragraph(
-            "Where the gap lies, which unmodelled effect causes it, how far it shrinks, and the next trial to record."
-        ),
-        people,
+        paragraph(_answers(study)),
+        _figure(study, "gap"),
+        _one_by_one(study, _answers_table(study)),
+        one_by_one,
     )
+
+
+def _answers(study: Study) -> str:
+    """The answers of everyone in one sentence."""
+    counts = Counter(_answer_of(d) for d in study.diagnoses).most_common()
+    listed = _listed([f"{name} ({n})" for name, n in counts])
+    closed = [share for d in study.diagnoses if (share := gap_closed(d)) is not None]
+    text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
+    if closed:
+        text += f" A named cause closes {percent(statistics.median(closed))} of the gap above noise (median)."
+    if any(d["verdict"] == "none" for d in study.diagnoses):
+        text += (
+            " None says that the plain model leaves what noise leaves; the page of each person lists from which size "
+            "on an effect would have been seen."
+        )
+    return text
+
+
+def _answer_of(d: Mapping[str, Any]) -> str:
+    return " + ".join(_words(name) for name in d.get("verdict_set") or [d["verdict"]])
+
+
+def _answers_table(study: Study) -> str:
+    rows = []
+    for d in study.diagnoses:
+        gap, where = d["gap"], d["where"]
+        somewhere = d["verdict"] != "none"
+        rows.append(
+            [
+                escape(d["subject"]),
+                escape(_answer_of(d)),
+                percent(d["probabilities"][d["verdict"]]),
+                escape(str(where["stage"]) if somewhere else _DASH),
+                rounded(gap["J_base"]),
+                rounded(gap["J_floor"]),
+                rounded(gap["J_with_effect"]),
+                percent(gap_closed(d)),
+                escape(d["next_trial"] or _DASH),
+            ]
+        )
+    head = [
+        "Person",
+        "Answer",
+        "Probability",
+        "Stage",
+        "J plain",
+        "J of noise",
+        "J with it",
+        "Closed",
+        "Next trial",
+    ]
+    caption = (
+        "The answer for everyone. J: cost of the trial that is predicted, with the plain model, of measurement noise "
+        "alone, and with the answer in the model; closed: share of J above noise; next trial: what would separate the "
+        "likeliest causes."
+    )
+    return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 7))
 
 
 def _validation(study: Study) -> str:
@@ -1039,13 +1090,13 @@ def _claims(study: Study) -> str:
 
 
 _SECTIONS: Mapping[str, Callable[[Study], str]] = {
+    "diagnosis": _diagnoses,
     "cohort": _cohort,
     "quality": _gates,
     "tightness": _tightness,
     "identification": _identification,
     "priors": _priors,
     "validation": _validation,
-    "diagnosis": _diagnoses,
     "claims": _claims,
 }
 

@@ -81,7 +81,7 @@ def beyond_drive(off: np.ndarray, driven: np.ndarray, freedom: int) -> np.ndarra
 
 
 def scatter_of_repeats(
-    values: np.ndarray, samples: float, rate_hz: float, first: int = 0, driven: tuple[int, ...] = ()
+    values: np.ndarray, samples: float, first: int = 0, driven: tuple[int, ...] = ()
 ) -> tuple[tuple[Scatter, ...], int, float]:
     """Return the noise of each column of series (n, c) about the mean of its repeats, their number and their length.
 
@@ -112,22 +112,19 @@ def scatter_of_repeats(
     near = samples * _PERIOD_OFF / 30
     best = float(minimize_scalar(apart, bounds=(best - near, best + near), method="bounded").x)
     laps = repeats(values, best, first)
-    return _scatter(laps - laps.mean(axis=0), rate_hz, driven), len(laps), best
+    return _scatter(laps - laps.mean(axis=0), driven), len(laps), best
 
 
-def _scatter(off: np.ndarray, rate_hz: float, driven: tuple[int, ...]) -> tuple[Scatter, ...]:
+def _scatter(off: np.ndarray, driven: tuple[int, ...]) -> tuple[Scatter, ...]:
     """Return the noise of each column of departures (r, m, c) of repeats from their mean."""
     freedom = len(off) - 1
     left = beyond_drive(off, off[:, :, list(driven)], freedom)
     return tuple(
-        Scatter.of_repeats((off if c in driven else left)[:, :, c], freedom, rate_hz)
-        for c in range(off.shape[2])
+        Scatter.of_repeats((off if c in driven else left)[:, :, c], freedom) for c in range(off.shape[2])
     )
 
 
-def scatter_of_pair(
-    one: np.ndarray, other: np.ndarray, rate_hz: float, driven: tuple[int, ...] = ()
-) -> tuple[Scatter, ...]:
+def scatter_of_pair(one: np.ndarray, other: np.ndarray, driven: tuple[int, ...] = ()) -> tuple[Scatter, ...]:
     """Return the noise of each column of two series (n, c), (m, c) of the same motion about their mean.
 
     Their clocks may be apart by a part of a sample, or by up to three: the second is moved to where it agrees best.
@@ -151,4 +148,4 @@ def scatter_of_pair(
         if apart < least:
             best, least = moved, apart
     half = (best - middle) / 2
-    return _scatter(np.stack([half, -half]), rate_hz, driven)
+    return _scatter(np.stack([half, -half]), driven)

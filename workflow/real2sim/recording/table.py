@@ -99,8 +99,8 @@ class Recording:
         """Return the noise of every column from repeat to repeat of a motion, about the mean of its repeats.
 
         What two laps or cycles under the same command do not share is noise, whatever the model, but for what the
-        measured drive explains of it. The answer is how loud it is (``sd`` in the column's unit) and at which
-        frequencies. `System.trusting` takes it as the level below which no residual is trusted, band by band.
+        measured drive explains of it. `System.trusting` takes it as the level below which no residual is trusted, and
+        the zeros of the repeats as zeros that differ from recording to recording.
 
         Parameters
         ----------
@@ -118,9 +118,7 @@ class Recording:
         within = (self.time_s >= from_s) & (self.time_s <= last)
         values = np.column_stack([column[within] for column in self.columns.values()])
         try:
-            scatter, _, _ = scatter_of_repeats(
-                values, period_s / self.step_s, self.rate_hz, driven=self._driven
-            )
+            scatter, _, _ = scatter_of_repeats(values, period_s / self.step_s, driven=self._driven)
         except ValueError as error:
             raise InputError(
                 self.name,
@@ -142,7 +140,7 @@ class Recording:
         """
         one, two = (np.column_stack([r.columns[name] for name in self.columns]) for r in (self, other))
         try:
-            scatter = scatter_of_pair(one, two, self.rate_hz, self._driven)
+            scatter = scatter_of_pair(one, two, self._driven)
         except ValueError as error:
             raise InputError(
                 other.name, "", str(error), f"as many samples as {self.name}", "Give a longer part.", "value"

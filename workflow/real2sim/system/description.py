@@ -37,7 +37,7 @@ class MachineJoint:
     """One joint of the machine: its controller's impedance (None: passive), and whether its position is logged.
 
     ``trusted_to`` [m, rad]: no residual of its log is trusted beyond this, nor beyond its ``scatter`` from repeat to
-    repeat, band by band.
+    repeat.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Output:
     ``trusted_to`` is the SD below which no residual is trusted, in the column's unit; 0 where its noise alone counts.
     ``zero_sd``: the zero of the column differs so much from recording to recording (SD), as that of a force sensor
     does; 0 where it stays. ``scatter`` is the column's noise from repeat to repeat, where that was measured: no
-    residual is trusted beyond it, band by band.
+    residual is trusted beyond it.
     """
 
     column: str
@@ -239,9 +239,9 @@ class System:
     def trusting(self, levels: Mapping[str, float | Scatter]) -> System:
         """The same system whose outputs and logs are trusted no further than ``levels``, by column.
 
-        A level is a `Scatter` from repeats (`Recording.scatter_of_repeats`), which counts band by band, or the SD of
-        white noise in the column's unit. Columns that it does not name stay as they are; an SD that is larger already
-        stays too.
+        A level is a `Scatter` from repeats (`Recording.scatter_of_repeats`), of which simulated noise is a part, or an
+        SD in the column's unit, which comes beside it. Columns that it does not name stay as they are; an SD that is
+        larger already stays too.
         """
         units = self.joint_units
         outputs = tuple(_trusted(o, levels.get(o.column)) for o in self.outputs)

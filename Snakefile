@@ -52,7 +52,7 @@ rule all:
         rules.paper_tables.output,
         rules.claims.output,
         SHARE_TABLES,
-        rules.diagnosis.input,
+        rules.diagnosis.input if STUDY["diagnosed"] == "everyone" else [],
         PEOPLE_PAGES,
         expand("results/people/{subject}/interface.xml", subject=VALIDATION),
         "results/tightness/cohort.json",

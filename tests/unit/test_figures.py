@@ -1,8 +1,7 @@
 """Figures are written, the same bytes for the same data."""
 
 import pytest
-from real2sim.artefacts import number, read_json, read_table, write_json, write_table
-from real2sim.pages.diagnosis import COLUMNS
+from real2sim.artefacts import number, read_json, read_table, write_json
 from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
 from real2sim.pages.gap import gap_figure
 from real2sim.pages.style import PHANTOM_LABEL, new_figure, signed
@@ -61,37 +60,32 @@ def test_of_many_people_a_figure_shows_a_few_or_all_as_one_cloud(tmp_path, monke
     assert "of 5 people" in out[0].read_text()
 
 
-def _answers(path, **verdicts):
-    rows = [
-        {
-            "subject": name,
-            "verdict": verdict,
-            "verdict_set": verdict,
-            "probability": 0.97,
-            "J_base": 1.2 if verdict != "none" else 0.04,
-            "J_floor": 0.03,
-            "J_with_effect": 0.035 if verdict not in ("none", "unknown") else 1.2,
-            "phantom": True,
-        }
-        for name, verdict in verdicts.items()
-    ]
-    write_table(path, tuple(rows[0]) if rows else COLUMNS, rows)
-    return path
+def _answers(folder, **verdicts):
+    out = []
+    for name, verdict in verdicts.items():
+        named = verdict not in ("none", "unknown")
+        plain = 0.04 if verdict == "none" else 1.2
+        chi2 = {"chi2_plain": [0, 1e5 * plain], "chi2_best": [0, 4e3 if named else 1e5 * plain]}
+        gap = chi2 | {"chi2_expected": [4e3, 4e3]}
+        out.append(folder / f"{name}.json")
+        answer = {"subject": name, "verdict": verdict, "verdict_set": [verdict], "phantom": True}
+        write_json(out[-1], answer | {"probabilities": {verdict: 0.97}, "gap": gap})
+    return out
 
 
 def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch):
-    table, out = tmp_path / "diagnosis.csv", [tmp_path / "gap.svg"]
-    gap_figure(diagnoses=_answers(table, S01="soft_tissue", S02="none", S03="unknown"), out=out)
+    answers, out = _answers(tmp_path, S01="soft_tissue", S02="none", S03="unknown"), [tmp_path / "gap.svg"]
+    gap_figure(diagnoses=answers, out=out)
     text = out[0].read_text()
     assert all(
         part in text for part in ("S01", "soft tissue (97 %)", "none (97 %)", "unknown (97 %)", PHANTOM_LABEL)
     )
     # of many, those with the largest gaps
     monkeypatch.setattr("real2sim.pages.style.NAMED_PEOPLE", 2)
-    gap_figure(diagnoses=table, out=out)
+    gap_figure(diagnoses=answers, out=out)
     assert "S02" not in out[0].read_text()
-    gap_figure(diagnoses=_answers(table), out=out)
-    assert "nobody has two dynamic trials" in out[0].read_text()
+    gap_figure(diagnoses=[], out=out)
+    assert "nobody was diagnosed" in out[0].read_text()
 
 
 def test_tightness_figure_is_written(tmp_path):

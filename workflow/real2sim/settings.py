@@ -1218,6 +1218,7 @@ Settings = TypedDict(
     "Settings",
     {
         "cohort": str,
+        "diagnosed": str,
         "suite": str,
         "paths": PathsSettings,
         "ingest": IngestSettings,

@@ -11,6 +11,14 @@ Steps:   fit the first dynamic trial, with and without every effect of the catal
 """
 
 DIAGNOSED = [name for name, person in PEOPLE.items() if len(person.trials_of("dynamic")) >= 2]
+# Whom the report tells of: everyone, or the unseen people and those who were asked for
+REPORTED = [
+    name
+    for name in DIAGNOSED
+    if STUDY["diagnosed"] == "everyone"
+    or PEOPLE[name].cohort == "validation"
+    or Path(f"results/diagnosis/{name}/diagnosis.json").exists()
+]
 # People at a time are faster than threads for one; where there are fewer people than cores, the rest of them helps
 DIAGNOSIS_THREADS = max(1, min(4, (workflow.resource_settings.cores or 1) // max(1, len(DIAGNOSED))))
 

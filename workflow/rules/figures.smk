@@ -11,7 +11,7 @@ FIGURES = ["gap", "tightness", "convergence", "icc", "coverage", "loso"]
 rule gap_figure:
     """What the plain model costs everyone, what the diagnosed one does, and what noise does."""
     input:
-        diagnoses="results/diagnosis/diagnosis.csv",
+        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
         multiext("results/figures/gap", ".pdf", ".svg"),
         report("results/figures/gap.png", caption="../report/gap.rst", category="Diagnosis"),
@@ -263,7 +263,7 @@ rule report_page:
         bars=TWIN_TABLES["bars"],
         refined=REFINED,
         fits=fits_of(CALIBRATION),
-        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=DIAGNOSED),
+        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
         "results/report.html",
     log:

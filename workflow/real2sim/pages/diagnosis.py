@@ -125,7 +125,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     rows = []
     for path in diagnoses:
         d = read_json(path, _KEYS)
-        gap = d["gap"]
+        named, gap = d["verdict"] not in _NOT_EFFECTS, d["gap"]
         rows.append(
             {
                 "subject": d["subject"],
@@ -137,7 +137,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
                 "J_base": gap["J_base"],
                 "J_floor": gap["J_floor"],
                 "J_with_effect": gap["J_with_effect"],
-                "gap_closed": gap_closed(d),
+                "gap_closed": _closed(gap) if named else None,
                 "misfit_sd": _misfit_sd(d),
                 "next_trial": d["next_trial"],
                 "train": " ".join(d["train"]),
@@ -156,9 +156,16 @@ def _misfit_sd(d: Mapping[str, Any]) -> float | None:
     return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
 
 
-def gap_closed(d: Mapping[str, Any]) -> float | None:
-    """Share of J above its floor that the answer of diagnosis.json closes; None where it names no cause."""
-    return None if d["verdict"] in _NOT_EFFECTS else _closed(d["gap"])
+def misfit_closed(d: Mapping[str, Any]) -> float | None:
+    """Share of chi-squared above noise of the held-out trial that goes with the answer; None where it names no cause.
+
+    Never below noise: what fits better than noise closes all.
+    """
+    if d["verdict"] in _NOT_EFFECTS:
+        return None
+    gap = d["gap"]
+    plain, best, noise = (gap[key][1] for key in ("chi2_plain", "chi2_best", "chi2_expected"))
+    return float((plain - max(best, noise)) / (plain - noise)) if plain > noise else None
 
 
 def digest(d: Mapping[str, Any]) -> str:

@@ -1,72 +1,66 @@
-"""Figure of the cohort's gaps: what the plain model costs everyone, what the diagnosed one costs, and noise alone."""
+"""Figure of the cohort's gaps: how far everyone's plain model is off, how far the diagnosed one, and noise alone."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
-from real2sim.artefacts import number, read_table
+from real2sim.artefacts import read_json
 from real2sim.pages import style
 
-_COLUMNS = (
-    "subject",
-    "verdict",
-    "verdict_set",
-    "probability",
-    "J_base",
-    "J_floor",
-    "J_with_effect",
-    "phantom",
-)
+_KEYS = ("subject", "verdict", "verdict_set", "probabilities", "gap", "phantom")
 _ROW_IN, _FRAME_IN = 0.32, 1.0
 
 
-def gap_figure(*, diagnoses: Path, out: list[Path]) -> None:
-    """Draw cost J of everyone's held-out trial: plain, with the diagnosed cause, and of noise alone.
+def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
+    """Draw chi-squared per residual of everyone's held-out trial: plain and with the diagnosed cause; noise alone is 1.
 
-    ``diagnoses`` is the table of `diagnosis_table`. Of more people than a page holds, those with the largest plain cost
-    over that of noise are shown.
+    ``diagnoses`` are files diagnosis.json. Of more people than a page holds, those with the largest gap are shown.
     """
-    rows = read_table(diagnoses, _COLUMNS)
-    rows.sort(key=lambda row: number(row["J_base"]) / number(row["J_floor"]))
-    shown = rows[-style.NAMED_PEOPLE :]
-    shown.sort(key=lambda row: row["subject"], reverse=True)
+    answers = [read_json(path, _KEYS) for path in diagnoses]
+    answers.sort(key=lambda d: per_residual(d, "plain"))
+    shown = sorted(answers[-style.NAMED_PEOPLE :], key=lambda d: str(d["subject"]), reverse=True)
     with matplotlib.rc_context(style.RC):
         height = _FRAME_IN + _ROW_IN * max(len(shown), 2)
-        figure = style.new_figure(height, phantom=any(row["phantom"] == "true" for row in rows))
+        figure = style.new_figure(height, phantom=any(d["phantom"] for d in answers))
         axes = figure.subplots()
         if shown:
             _gaps(axes, shown)
-            figure.legend(loc="outside upper center", ncols=3, columnspacing=0.9)
+            figure.legend(loc="outside lower center", ncols=3, columnspacing=0.9)
         else:
-            style.say(axes, "nobody has two dynamic trials")
+            style.say(axes, "nobody was diagnosed: it takes two dynamic trials")
         style.save(figure, out)
 
 
-def _gaps(axes: Axes, rows: list[dict[str, str]]) -> None:
-    place = np.arange(len(rows))
-    plain, floor, cause = (
-        np.array([number(row[column]) for row in rows]) for column in ("J_base", "J_floor", "J_with_effect")
-    )
+def _gaps(axes: Axes, answers: list[dict[str, Any]]) -> None:
+    place = np.arange(len(answers))
+    plain, cause = (np.array([per_residual(d, key) for d in answers]) for key in ("plain", "best"))
     axes.hlines(place, cause, plain, color=style.GREY, linewidth=1.2)
-    axes.plot(floor, place, "|", color=style.BLACK, markersize=11, markeredgewidth=1.4, label="noise alone")
+    axes.axvline(1.0, color=style.BLACK, linewidth=0.9, linestyle="--", label="noise alone")
     axes.plot(plain, place, "o", color=style.VERMILION, markersize=6, label="plain model")
     axes.plot(cause, place, "D", color=style.BLUE, markersize=4.5, label="with the cause")
-    low, high = min(floor.min(), cause.min()), max(plain.max(), floor.max())
+    low, high = min(1.0, cause.min()), max(1.0, plain.max())
     # room for the words to the right of the points
+    left, right = low / 1.4, high * (high / low + 2) ** 0.75 * 1.6
     axes.set_xscale("log")
-    axes.set_xlim(low / 1.4, high * (high / low + 2) ** 0.75 * 1.6)
-    for row, x, y in zip(rows, np.maximum(plain, floor), place, strict=True):
-        axes.annotate(_answer(row), (x, y), (8, 0), textcoords="offset points", va="center", fontsize=7)
-    axes.set_yticks(place, [row["subject"] for row in rows])
-    axes.set_ylim(-0.6, len(rows) - 0.4)
-    axes.set_xlabel("cost $J$ of the held-out trial")
+    axes.set_xlim(left, right)
+    style.log_axis(axes.xaxis, left, right)
+    for d, x, y in zip(answers, plain, place, strict=True):
+        axes.annotate(_answer(d), (x, y), (8, 0), textcoords="offset points", va="center", fontsize=7)
+    axes.set_yticks(place, [d["subject"] for d in answers])
+    axes.set_ylim(-0.6, len(answers) - 0.4)
+    axes.set_xlabel("misfit of the held-out trial (chi-squared per residual)")
 
 
-def _answer(row: dict[str, str]) -> str:
-    named = row["verdict_set"].split() or [row["verdict"]]
-    words = " + ".join(name.replace("_", " ") for name in named)
-    return f"{words} ({100 * number(row['probability']):.0f} %)"
+def per_residual(d: dict[str, Any], which: str) -> float:
+    """Return chi-squared per residual [1] of the held-out trial of diagnosis.json; ``which`` is plain or best."""
+    return float(d["gap"][f"chi2_{which}"][1] / d["gap"]["chi2_expected"][1])
+
+
+def _answer(d: dict[str, Any]) -> str:
+    words = " + ".join(name.replace("_", " ") for name in d["verdict_set"] or [d["verdict"]])
+    return f"{words} ({100 * d['probabilities'][d['verdict']]:.0f} %)"

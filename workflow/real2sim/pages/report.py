@@ -16,7 +16,8 @@ from typing import Any
 from real2sim.artefacts import number, read_json, read_table
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, unit
-from real2sim.pages.diagnosis import digest, gap_closed
+from real2sim.pages.diagnosis import digest, misfit_closed
+from real2sim.pages.gap import per_residual
 from real2sim.pages.page import (
     bar,
     document,
@@ -46,9 +47,9 @@ _DASH = "\N{EN DASH}"
 FIGURES = {
     "gap": (
         "The gap of everyone",
-        "Cost J (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain model of strap and "
-        "robot; diamond, the same with the diagnosed cause in it; bar, what measurement noise alone costs. Where "
-        "circle and bar meet there is no gap to explain, and the answer is none. In brackets: its probability.",
+        "Chi-squared per residual (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain "
+        "model of strap and robot; diamond, the same with the diagnosed cause in it; dashed, what noise alone leaves, "
+        "1. At the dashed line there is no gap to explain, and the answer is none. In brackets: its probability.",
     ),
     "tightness": (
         "Tightness sweep",
@@ -899,10 +900,12 @@ def _answers(study: Study) -> str:
     """The answers of everyone in one sentence."""
     counts = Counter(_answer_of(d) for d in study.diagnoses).most_common()
     listed = _listed([f"{name} ({n})" for name, n in counts])
-    closed = [share for d in study.diagnoses if (share := gap_closed(d)) is not None]
+    closed = [share for d in study.diagnoses if (share := misfit_closed(d)) is not None]
     text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if closed:
-        text += f" A named cause closes {percent(statistics.median(closed))} of the gap above noise (median)."
+        text += (
+            f" A named cause closes {percent(statistics.median(closed))} of what stands above noise (median)."
+        )
     if any(d["verdict"] == "none" for d in study.diagnoses):
         text += (
             " None says that the plain model leaves what noise leaves; the page of each person lists from which size "
@@ -929,7 +932,8 @@ def _answers_table(study: Study) -> str:
                 rounded(gap["J_base"]),
                 rounded(gap["J_floor"]),
                 rounded(gap["J_with_effect"]),
-                percent(gap_closed(d)),
+                f"{rounded(per_residual(d, 'plain'))} to {rounded(per_residual(d, 'best'))}",
+                percent(misfit_closed(d)),
                 escape(d["next_trial"] or _DASH),
             ]
         )

@@ -199,7 +199,12 @@ def inline(content: str, name: str, alt: str, caption: str, *, wide: bool = Fals
 def table(
     head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, numeric: Sequence[int] = ()
 ) -> str:
-    """Table whose first column names its rows; cells are markup, ``numeric`` are columns set to the right."""
+    """Table whose first column names its rows; cells are markup, ``numeric`` are columns set to the right.
+
+    Raises ValueError for a row that has not a cell for each name of ``head``.
+    """
+    if any(len(row) != len(head) for row in rows):
+        raise ValueError(f"{caption}: a row has not {len(head)} cells")
 
     def cell(i: int, text: str) -> str:
         if i == 0:

@@ -945,15 +945,17 @@ def _answers_table(study: Study) -> str:
         "J plain",
         "J of noise",
         "J with it",
+        "Misfit",
         "Closed",
         "Next trial",
     ]
     caption = (
         "The answer for everyone. J: cost of the trial that is predicted, with the plain model, of measurement noise "
-        "alone, and with the answer in the model; closed: share of J above noise; next trial: what would separate the "
-        "likeliest causes."
+        "alone, and with the answer in the model. Misfit: chi-squared per residual of that trial without and with the "
+        "answer; noise leaves 1, and chi-squared sees gaps that J does not. Closed: share of it above noise. Next "
+        "trial: what would separate the likeliest causes."
     )
-    return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 7))
+    return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))
 
 
 def _validation(study: Study) -> str:

@@ -227,6 +227,8 @@ def test_figure_is_enlarged_and_put_back_by_keyboard(shown):
     shown.run("document.querySelector('dialog [aria-label=Larger]').click()")
     assert shown.run(width) == pytest.approx(1.5 * before, rel=0.02)
     shown.key("Escape", 27)
+    # a dialog tells that it was closed a moment later
+    shown.run("new Promise((done) => setTimeout(done, 500))")
     assert shown.run(state) == [False, "Enlarge", 0]
     assert shown.run("[...document.querySelectorAll('figure')].every(f => f.querySelector('svg'))")
 

@@ -550,3 +550,20 @@ def test_members_of_the_best_set_are_tried_alone_from_where_they_stand_in_it():
     found = _best_of_each([alone, pair, *_pruned(_Stuck(), [alone, pair])])
     assert [h.key for h in found] == ["coulomb tx", "coulomb tx + preload tx", "preload tx"]
     assert found[0].chi2 == (100.0, 100.0), "from the pair's force, no longer stuck"
+
+
+def test_a_fit_whose_slopes_cannot_be_simulated_explains_nothing(monkeypatch):
+    """An evidence without bound made probabilities of all answers not a number, and a null a named cause."""
+    fake = SimpleNamespace(
+        last=np.ones((1, 1)),
+        free=np.arange(0),
+        evaluations=0,
+        occam_of=lambda z, slopes: -np.inf,
+        judged=lambda z: (1.0, 1.0),
+    )
+    monkeypatch.setattr("real2sim.diagnosis.search.refit", lambda residuals, start, **options: (start, 0.0))
+    monkeypatch.setattr("real2sim.diagnosis.search.JointResiduals", lambda *given, **options: fake)
+    search = Search(Pair(None, None, STRAP), CONFIG["diagnosis"]["search"])
+    fitted = search.fit((), np.zeros(12))
+    assert fitted.chi2 == (FAILED, FAILED)
+    assert fitted.occam == 0.0

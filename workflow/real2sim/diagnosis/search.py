@@ -107,8 +107,9 @@ class Search:
             # what the other trial has of its own pays there for what it could have been
             occam += 0.0 if held_out.last is None else held_out.occam_of(z, held_out.last)
         judged = np.array([residuals.judged(z), held_out.judged(z)])
-        # what cannot be simulated explains nothing
-        judged = np.where(np.isfinite(judged), judged, FAILED)
+        # what cannot be simulated, itself or near by, explains nothing
+        judged = np.where(np.isfinite(judged) & np.isfinite(occam), judged, FAILED)
+        occam = occam if np.isfinite(occam) else 0.0
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
         (train, j_train), (other, j_other) = judged.tolist()

@@ -22,6 +22,7 @@ AGGREGATION = {
     "convergence_figure",
     "icc_figure",
     "loso_figure",
+    "gap_figure",
     "priors_table",
     "cross_trial_table",
     "identifiability_table",

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 import real2sim as r2s
@@ -178,8 +179,10 @@ def weighed(system: r2s.System, box: Any) -> r2s.System:
     mass = r2s.identify(system, box.recording("arrow_begins")).values["mass"]
     # a file for good: processes that end would take a temporary one along
     model = Path(tempfile.gettempdir()) / f"silverbox_{mass:.9f}.xml"
-    text = system.model.read_text(encoding="utf-8").replace('mass="0.005"', f'mass="{mass:.9f}"')
-    model.write_text(text, encoding="utf-8")
+    spec = mujoco.MjSpec.from_file(str(system.model))
+    spec.body(system.body).mass = mass
+    spec.compile()
+    model.write_text(spec.to_xml(), encoding="utf-8")
     known = tuple(p for p in system.parameters if p.name != "mass")
     return replace(system.with_model(model), parameters=known)
 

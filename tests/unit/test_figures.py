@@ -2,6 +2,7 @@
 
 import pytest
 from real2sim.artefacts import number, read_json, read_table, write_json
+from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_closed, chi2_per_residual
 from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
 from real2sim.pages.gap import gap_figure
 from real2sim.pages.style import PHANTOM_LABEL, new_figure, signed
@@ -68,9 +69,30 @@ def _answers(folder, **verdicts):
         chi2 = {"chi2_plain": [0, 1e5 * plain], "chi2_best": [0, 4e3 if named else 1e5 * plain]}
         gap = chi2 | {"chi2_expected": [4e3, 4e3]}
         out.append(folder / f"{name}.json")
+        trials = {"train": ["dynamic_1"], "held_out": ["dynamic_2"], "shown_on": ["dynamic_2"]}
         answer = {"subject": name, "verdict": verdict, "verdict_set": [verdict], "phantom": True}
-        write_json(out[-1], answer | {"probabilities": {verdict: 0.97}, "gap": gap})
+        write_json(out[-1], answer | trials | {"probabilities": {verdict: 0.97}, "gap": gap})
     return out
+
+
+def test_gap_is_that_of_the_trial_which_shows_it_and_a_set_has_one_probability():
+    answer = {
+        "verdict": "slack",
+        "verdict_set": ["slack", "coulomb"],
+        "probabilities": {"slack": 0.5, "coulomb": 0.45, "unknown": 0.05},
+        "gap": {"chi2_plain": [900, 300], "chi2_best": [200, 150], "chi2_expected": [100, 100]},
+        "train": ["dynamic_2"],
+        "held_out": ["dynamic_1"],
+    }
+    assert chi2_per_residual(answer | {"shown_on": ["dynamic_2"]}) == (9, 2)
+    assert chi2_per_residual(answer) == (3, 1.5)
+    assert chi2_closed(answer) == pytest.approx(0.75)
+    assert answer_words(answer) == "slack + coulomb"
+    assert answer_probability(answer) == pytest.approx(0.95)
+    better = answer | {"gap": answer["gap"] | {"chi2_best": [50, 50]}}
+    assert chi2_closed(better) == 1, "better than noise is no more than all"
+    assert chi2_closed(answer | {"verdict": "unknown"}) is None
+    assert chi2_per_residual(answer | {"gap": {}}) is None
 
 
 def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch):

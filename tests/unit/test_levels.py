@@ -116,6 +116,15 @@ def test_a_description_trusts_no_further_than_its_repeats():
     assert system.trusting({}).outputs == system.outputs
 
 
+def test_a_command_that_is_the_same_to_the_last_digit_explains_nothing_and_costs_nothing():
+    rng = np.random.default_rng(10)
+    command = rng.standard_normal(800)
+    records = [np.column_stack([command, command + 0.01 * rng.standard_normal(800)]) for _ in range(2)]
+    assert scatter_of_pair(*records, driven=(0,))[1].sd == pytest.approx(
+        scatter_of_pair(*records)[1].sd, rel=0.03
+    )
+
+
 def test_too_few_repeats_are_refused():
     with pytest.raises(InputError, match="two repeats"):
         _recording(np.sin(np.arange(150.0))).scatter_of_repeats(1.0)

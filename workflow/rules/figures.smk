@@ -9,7 +9,7 @@ FIGURES = ["gap", "tightness", "convergence", "icc", "coverage", "loso"]
 
 
 rule gap_figure:
-    """What the plain model costs everyone, what the diagnosed one does, and what noise does."""
+    """How far everyone's plain and diagnosed model are off the trial that they predict, beside noise."""
     input:
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:

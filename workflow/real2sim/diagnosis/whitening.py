@@ -39,7 +39,7 @@ class Bands:
 
 @dataclass(frozen=True)
 class Whitening:
-    """What brings residuals to unit variance.
+    """Matrices and directions that bring residuals to unit variance.
 
     ``matrices`` (bands, c, c) whiten the noise of each band; ``unknowns`` (k, n_r) are directions of unit length among
     the whitened residuals along which per-trial nuisance parameters move them, and ``discounts`` (k,) the share of each

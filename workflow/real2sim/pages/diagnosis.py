@@ -156,16 +156,35 @@ def _misfit_sd(d: Mapping[str, Any]) -> float | None:
     return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
 
 
-def misfit_closed(d: Mapping[str, Any]) -> float | None:
-    """Share of chi-squared above noise of the held-out trial that goes with the answer; None where it names no cause.
+def answer_words(d: Mapping[str, Any]) -> str:
+    """Effects that diagnosis.json names together, or none or unknown."""
+    return " + ".join(_words(name) for name in _set(d))
 
-    Never below noise: what fits better than noise closes all.
-    """
-    if d["verdict"] in _NOT_EFFECTS:
-        return None
+
+def answer_probability(d: Mapping[str, Any]) -> float:
+    """Probability of the answer of diagnosis.json: effects that are named together share one out between them."""
+    return float(sum(d["probabilities"][name] for name in _set(d)))
+
+
+def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Chi-squared per residual on the trial that shows the gap, plain and with the effect; None in old answers."""
     gap = d["gap"]
-    plain, best, noise = (gap[key][1] for key in ("chi2_plain", "chi2_best", "chi2_expected"))
-    return float((plain - max(best, noise)) / (plain - noise)) if plain > noise else None
+    if not gap.get("chi2_expected"):
+        return None
+    i = [d["train"], d["held_out"]].index(_shown(d))
+    n = gap["chi2_expected"][i]
+    return gap["chi2_plain"][i] / n, gap["chi2_best"][i] / n
+
+
+def chi2_closed(d: Mapping[str, Any]) -> float | None:
+    """Share of chi-squared above noise that goes with the named cause; None where none is named or nothing stood there.
+
+    What fits better than noise closes all.
+    """
+    both = chi2_per_residual(d)
+    if both is None or d["verdict"] in _NOT_EFFECTS or both[0] <= 1:
+        return None
+    return (both[0] - max(both[1], 1.0)) / (both[0] - 1)
 
 
 def digest(d: Mapping[str, Any]) -> str:
@@ -365,30 +384,17 @@ def _same_set(cause: Mapping[str, Any], d: Mapping[str, Any]) -> bool:
     return {cause["effect"], *cause.get("with", [])} == set(_set(d))
 
 
-def _chi2(d: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Chi-squared per residual on the trial that shows the gap, plain and with the effect."""
-    gap = d["gap"]
-    if not gap.get("chi2_expected"):
-        return None
-    i = [d["train"], d["held_out"]].index(_shown(d))
-    n = gap["chi2_expected"][i]
-    return gap["chi2_plain"][i] / n, gap["chi2_best"][i] / n
-
-
 def _spectral(d: Mapping[str, Any]) -> str:
     """The same in chi-squared, which sees errors that J drowns in noise."""
-    both = _chi2(d)
+    both = chi2_per_residual(d)
     if both is None:
         return ""
     plain, best = both
     text = "Chi-squared weighs each frequency by its own noise and sees more than J; noise alone gives 1 per residual"
     if d["verdict"] in _NOT_EFFECTS:
         return f"{text}, the plain model {rounded(plain)}."
-    left = (
-        f", {percent(max(best - 1, 0) / (plain - 1), 1)} of what stood above noise is left"
-        if plain > 1
-        else ""
-    )
+    closed = chi2_closed(d)
+    left = "" if closed is None else f", {percent(1 - closed, 1)} of what stood above noise is left"
     return f"{text}, the plain model {rounded(plain)} and the model with the effect {rounded(best)}{left}."
 
 
@@ -660,7 +666,7 @@ def _stack(axes: Axes, base: float, after: float, floor: float) -> None:
 
 def _gap_bar(d: Mapping[str, Any]) -> str:
     gap, floor = d["gap"], d["noise_floor"]
-    both = _chi2(d)
+    both = chi2_per_residual(d)
     named = d["verdict"] not in _NOT_EFFECTS
     words = f"J: noise floor {rounded(gap['J_floor'], 4)}, plain {rounded(gap['J_base'], 4)}"
     words += f", with effect {rounded(gap['J_with_effect'], 4)}" if named else ""

@@ -16,8 +16,13 @@ from typing import Any
 from real2sim.artefacts import number, read_json, read_table
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, unit
-from real2sim.pages.diagnosis import digest, misfit_closed
-from real2sim.pages.gap import per_residual
+from real2sim.pages.diagnosis import (
+    answer_probability,
+    answer_words,
+    chi2_closed,
+    chi2_per_residual,
+    digest,
+)
 from real2sim.pages.page import (
     bar,
     document,
@@ -882,7 +887,7 @@ def _diagnoses(study: Study) -> str:
     if not study.diagnoses:
         return ""
     one_by_one = "\n".join(
-        folded(f"{d['subject']}: {_answer_of(d)}", digest(d)) for d in study.diagnoses[:MANY_PEOPLE]
+        folded(f"{d['subject']}: {answer_words(d)}", digest(d)) for d in study.diagnoses[:MANY_PEOPLE]
     )
     if len(study.diagnoses) > MANY_PEOPLE:
         one_by_one = paragraph(f"The first {MANY_PEOPLE} of them:") + one_by_one
@@ -898,9 +903,9 @@ def _diagnoses(study: Study) -> str:
 
 def _answers(study: Study) -> str:
     """The answers of everyone in one sentence."""
-    counts = Counter(_answer_of(d) for d in study.diagnoses).most_common()
+    counts = Counter(answer_words(d) for d in study.diagnoses).most_common()
     listed = _listed([f"{name} ({n})" for name, n in counts])
-    closed = [share for d in study.diagnoses if (share := misfit_closed(d)) is not None]
+    closed = [share for d in study.diagnoses if (share := chi2_closed(d)) is not None]
     text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if closed:
         text += (
@@ -914,26 +919,22 @@ def _answers(study: Study) -> str:
     return text
 
 
-def _answer_of(d: Mapping[str, Any]) -> str:
-    return " + ".join(_words(name) for name in d.get("verdict_set") or [d["verdict"]])
-
-
 def _answers_table(study: Study) -> str:
     rows = []
     for d in study.diagnoses:
-        gap, where = d["gap"], d["where"]
+        gap, where, both = d["gap"], d["where"], chi2_per_residual(d)
         somewhere = d["verdict"] != "none"
         rows.append(
             [
                 escape(d["subject"]),
-                escape(_answer_of(d)),
-                percent(d["probabilities"][d["verdict"]]),
+                escape(answer_words(d)),
+                percent(answer_probability(d)),
                 escape(str(where["stage"]) if somewhere else _DASH),
                 rounded(gap["J_base"]),
                 rounded(gap["J_floor"]),
                 rounded(gap["J_with_effect"]),
-                f"{rounded(per_residual(d, 'plain'))} to {rounded(per_residual(d, 'best'))}",
-                percent(misfit_closed(d)),
+                _DASH if both is None else " to ".join(map(rounded, both)),
+                percent(chi2_closed(d)),
                 escape(d["next_trial"] or _DASH),
             ]
         )

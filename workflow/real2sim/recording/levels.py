@@ -75,9 +75,9 @@ def beyond_drive(off: np.ndarray, driven: np.ndarray, freedom: int) -> np.ndarra
     count = lags.shape[1]
     design = lags.reshape(r * count, -1)
     inner = off[:, reach : reach + count].reshape(r * count, -1)
-    left = inner - design @ np.linalg.lstsq(design, inner, rcond=None)[0]
-    samples = freedom * count
-    return np.asarray(left.reshape(r, count, -1) * np.sqrt(samples / (samples - design.shape[1])))
+    weights, _, rank, _ = np.linalg.lstsq(design, inner, rcond=None)
+    left, samples = inner - design @ weights, freedom * count
+    return np.asarray(left.reshape(r, count, -1) * np.sqrt(samples / (samples - rank)))
 
 
 def scatter_of_repeats(

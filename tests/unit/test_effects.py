@@ -282,7 +282,8 @@ def test_markers_off_their_centres_give_back_the_motion_of_the_centres(plain):
 
 def test_a_start_out_of_reach_leaves_the_other_simulations_alone(monkeypatch):
     model = replay([placed_whole("marker_offset"), placed_whole("sync_offset")], nsim=3)
-    x = [np.tile([[0.0, 0.01, 0.0, 0.0, -0.01, 0.0]], (3, 1)), np.full((3, 1), 0.03)]
+    offsets = np.array([[0.0, 0.01, 0.0, 0.0, -0.01, 0.0]])
+    x = [offsets * [[1.0], [1.5], [0.5]], np.full((3, 1), 0.03)]
     whole, _ = model.run_effects(np.tile(PRIOR, (3, 1)), x)
     asked = iter([False, True, False])
 

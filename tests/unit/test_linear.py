@@ -15,6 +15,7 @@ from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.trials import Trials
 from real2sim.effects.base import Placed
 from real2sim.effects.catalogue import EFFECTS
+from real2sim.effects.system_replay import SystemReplay
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
 from real2sim.system.linear import Linearised
@@ -41,10 +42,10 @@ def test_slopes_by_forces_are_those_of_replays(pair, monkeypatch):
     both, z = pair
     library = Library(both, 1.0)
     base = Hypothesis((), z, (np.nan, np.nan))
-    linear = free_form._slopes_of(both.train, library, base)[2]
-    monkeypatch.setattr(free_form, "_on_tangent", lambda *_: None)
+    linear = free_form._slopes_of(both.train, library, base)[0].columns
+    monkeypatch.setattr(free_form, "_on_tangent", lambda *_: False)
     monkeypatch.setattr(JointResiduals, "_by_forces", lambda *_: None)
-    replayed = free_form._slopes_of(both.train, library, base)[2]
+    replayed = free_form._slopes_of(both.train, library, base)[0].columns
     apart = np.linalg.norm(linear - replayed, axis=0) / np.linalg.norm(replayed, axis=0)
     assert np.median(apart) < 0.01
     assert apart.max() < 0.1
@@ -60,7 +61,7 @@ def test_linearised_steps_that_grow_without_bound_are_not_used(pair, monkeypatch
     monkeypatch.setattr(
         Linearised, "sensors", lambda self, forces, columns: np.full((len(forces), 1, 1), grown)
     )
-    slopes = free_form._slopes_of(both.train, few, base)[2]
+    slopes = free_form._slopes_of(both.train, few, base)[0].columns
     assert slopes.shape[1] == len(few.columns)
     assert np.abs(slopes).max() < 1e9
 
@@ -99,3 +100,53 @@ def test_the_motion_that_parts_two_hypotheses_most_is_proposed(pair):
     assert found["now_sd"] > 0
     # one alone has nothing to be told from
     assert propose(both, hypotheses[:1], ["x"], 1.5, lambda *about: known) is None
+
+
+def _beside_a_late_output(both, library):
+    """A law whose force is planned, beside an effect that only the sensors show: a delay of the measured output."""
+    late = next(e for e in EFFECTS if e.name == "sync_offset" and not e.form)
+    assert late.only_seen
+    family = next(f for f in library.forces if f.kind == "dissipative")
+    placed = Placed(late, late.place(both.system), both.train.scales)
+    return placed, library.placed(family, 0.1)
+
+
+def test_slopes_by_forces_are_seen_through_output_chains(pair, monkeypatch):
+    both, z = pair
+    effects = _beside_a_late_output(both, Library(both, 1.0))
+    problem = JointResiduals(both.train, effects, both.system, coarse=True)
+    x = np.concatenate([effects[0].starts()[0], np.full(len(effects[1].effect.parameters), 0.01)])
+    at = np.concatenate([z, x])
+    r, fast = problem.with_jacobian(at, np.arange(len(at)))
+    with monkeypatch.context() as patch:
+        patch.setattr(JointResiduals, "_by_forces", lambda *_: None)
+        slow = problem.jacobian(at, r, np.arange(len(at)))
+    own = slice(len(at) - len(effects[1].effect.parameters), None)
+    np.testing.assert_allclose(fast[:, own], slow[:, own], atol=0.02 * np.abs(slow[:, own]).max())
+
+
+def test_what_only_sensors_show_shares_one_simulation(pair, monkeypatch):
+    both, z = pair
+    late, _ = _beside_a_late_output(both, Library(both, 1.0))
+    problem = JointResiduals(both.train, (late,), both.system, coarse=True)
+    moved = late.starts()[0] * np.linspace(0.5, 1.5, 5)[:, None]
+    points = np.hstack([np.tile(z, (5, 1)), moved])
+    simulated = []
+    original = SystemReplay._simulate
+    monkeypatch.setattr(
+        SystemReplay,
+        "_simulate",
+        lambda self, parameters, *rest: (
+            simulated.append(len(parameters)) or original(self, parameters, *rest)
+        ),
+    )
+    together = problem.many(points)
+    assert simulated == [1]
+    one_by_one = np.concatenate([problem.many(point[None]) for point in points])
+    np.testing.assert_allclose(together, one_by_one, rtol=1e-9, atol=1e-9)
+    assert np.ptp(together, axis=0).max() > 0
+    # another stiffness is another simulation, whatever the sensors show
+    simulated.clear()
+    points[1:, 0] += 0.1
+    problem.many(points)
+    assert simulated == [2]

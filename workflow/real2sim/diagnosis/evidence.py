@@ -32,6 +32,10 @@ class Simulation(Protocol):
     def linearised(self) -> Linearised | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly."""
 
+    @property
+    def linearisation_cost(self) -> int:
+        """Simulations that take as long as `linearised`."""
+
     def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first."""
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.law_equations import SCALES, Equations, Products, solved
 from real2sim.diagnosis.refit import ENDLESS, Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Pair, Search
 from real2sim.effects import families
@@ -35,15 +36,12 @@ from real2sim.effects.families import (
     with_rhythm,
 )
 from real2sim.effects.planned import FamilyForce
-from real2sim.inference.least_squares import bounded_step
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisFreeFormSettings, DiagnosisSearchSettings
 
 # Bounds of a coefficient, in units of a large force: the prior holds it long before
 _BOUND = 100.0
-# Prior scales that are tried, in units of a large force of the joint
-_SCALES = np.exp(np.linspace(-7.0, 1.5, 18))
 # How often at most, and from which ratio on, that scale is widened after a refit
 _RESCALINGS, _WIDER = 4, 1.5
 # Histories in whose place rhythms are looked for; the slowest rhythm [Hz], and frequencies per turn more in a trial
@@ -206,42 +204,48 @@ class Library:
 
 
 @dataclass(frozen=True)
-class Slopes:
-    """Residuals of both trials at a base and their slopes: ``base`` (r, n) with prior rows, ``columns`` (r, c).
+class TrialSlopes:
+    """Residuals (r,) of a trial at a base, and their slopes by its numbers (r, n) and by basis functions (r, c).
 
-    Rows are those of the training trial, prior rows of the base, then those of the held-out trial; ``train`` of them
-    are of training trial and prior.
+    ``displaced``: (r, p) by the coefficients of each displacement. Those by basis functions are thousands, of which a
+    family has a few: they are held in single precision.
     """
 
     residuals: np.ndarray
     base: np.ndarray
     columns: np.ndarray
-    train: int
     displaced: dict[str, np.ndarray]
+
+    def products(self, columns: np.ndarray) -> Products:
+        """Return the products of some columns (r, p)."""
+        return Products.of(columns.astype(float), self.base, self.residuals)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Slopes of both trials at a base; ``prior_residuals`` (k,) and ``prior_base`` (k, n) are of the base's priors."""
+
+    fitted: TrialSlopes
+    held_out: TrialSlopes
+    prior_residuals: np.ndarray
+    prior_base: np.ndarray
+
+    @property
+    def trials(self) -> tuple[TrialSlopes, TrialSlopes]:
+        """The fitted and the held-out one."""
+        return self.fitted, self.held_out
 
 
 def slopes(pair: Pair, library: Library, base: Hypothesis) -> Slopes:
     """Return the slopes of both trials at a hypothesis by basis functions and displacements."""
-    parts = [_slopes_of(e, library, base) for e in (pair.train, pair.held_out)]
-    (r, jac, columns, moved), (r_h, jac_h, columns_h, moved_h) = parts
-    n, m = pair.train.samples, pair.held_out.samples
-    priors = len(r) - n
-
-    def both(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.concatenate([a, np.zeros((priors, a.shape[1])), b])
-
-    return Slopes(
-        np.concatenate([r, r_h[:m]]),
-        np.vstack([jac, jac_h[:m]]),
-        both(columns, columns_h),
-        len(r),
-        {name: both(moved[name], moved_h[name]) for name in moved},
-    )
+    (fitted, rows), (held_out, _) = (_slopes_of(e, library, base) for e in (pair.train, pair.held_out))
+    return Slopes(fitted, held_out, *rows)
 
 
 def _slopes_of(
     evidence: Evidence, library: Library, base: Hypothesis
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+) -> tuple[TrialSlopes, tuple[np.ndarray, np.ndarray]]:
+    """Slopes of a trial, and residuals (k,) and slopes (k, n) of the base's priors."""
     problem = JointResiduals(evidence, base.effects, library.system, coarse=True)
     r, jac = problem.with_jacobian(base.z, np.arange(len(base.z)))
     n = evidence.samples
@@ -255,33 +259,39 @@ def _slopes_of(
 
     terms = library.columns
     parts = [terms[i : i + _CHUNK] for i in range(0, len(terms), _CHUNK)]
-    columns = _on_tangent(evidence, library, base, parts)
-    if columns is None:
-        columns = [by(library.columns_effect(part)) for part in parts]
+    columns = np.empty((n, len(terms)), np.float32, order="F")
+    if not _on_tangent(evidence, library, base, parts, columns):
+        for i, part in enumerate(parts):
+            columns[:, _CHUNK * i : _CHUNK * i + len(part)] = by(library.columns_effect(part))
     moved = {d.name: by(library.placed(d, 1.0)) for d in library.displacements}
-    return r, jac, np.hstack(columns) if columns else np.zeros((n, 0)), moved
+    return TrialSlopes(r[:n], jac[:n], columns, moved), (r[n:], jac[n:])
 
 
 def _on_tangent(
-    evidence: Evidence, library: Library, base: Hypothesis, parts: Sequence[Sequence[Term]]
-) -> list[np.ndarray] | None:
-    """Slopes (r, c) by basis functions from the linearised simulation; None where that gives none."""
+    evidence: Evidence,
+    library: Library,
+    base: Hypothesis,
+    parts: Sequence[Sequence[Term]],
+    columns: np.ndarray,
+) -> bool:
+    """Write slopes (r, c) by basis functions from the linearised simulation; whether that gives them."""
     motors = library.motors
     replay = evidence.replay([*base.effects, motors], 1, coarse=True)
     x = [*(part[None] for part in base.split()), np.zeros((1, len(motors.effect.parameters)))]
     paths, joints = replay.run_effects(library.system.values(base.base)[None], x)
     linear = replay.linearised()
     if linear is None:
-        return None
+        return False
     here = evidence.whitened(paths, joints)
-    out = []
-    for part in parts:
-        moved, turned = replay.response(
-            linear, len(base.effects), library.forces_of_columns(part, evidence.context)
-        )
-        out.append((evidence.whitened(paths + moved, joints + turned) - here).T)
-    # a simulation whose linearised steps grow without bound (at a stiff law, say) is asked by replays
-    return out if all(np.abs(part).max(initial=0.0) < ENDLESS for part in out) else None
+    for i, part in enumerate(parts):
+        forces = library.forces_of_columns(part, evidence.context)
+        moved, turned = replay.response(linear, len(base.effects), forces)
+        found = evidence.whitened(paths + moved, joints + turned) - here
+        # a simulation whose linearised steps grow without bound (at a stiff law, say) is asked by replays
+        if not np.abs(found).max(initial=0.0) < ENDLESS:
+            return False
+        columns[:, _CHUNK * i : _CHUNK * i + len(part)] = found.T
+    return True
 
 
 @dataclass(frozen=True)
@@ -303,20 +313,18 @@ def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) ->
 
     Rhythms are looked for where a force or gain of a free history explains much.
     """
-    room = _room(library, base, longest)
-    whole = _Equations(known, slice(None), *room)
-    fitted = _Equations(known, slice(known.train), *room)
+    tangent = _Tangent(known, *_room(library, base, longest))
 
-    def screened(family: AnyFamily, columns: np.ndarray, weights: np.ndarray) -> Screened:
-        scale, gain = whole.best_scale(columns, weights)
-        step, coefficients = fitted.solve(columns, scale * weights)
+    def screened(family: AnyFamily, products: _OfTrials, weights: np.ndarray) -> Screened:
+        scale, gain = tangent.both.best_scale(products.both, weights)
+        step, coefficients = tangent.fitted.solve(products.fitted, scale * weights)
         return Screened(family, scale, gain, coefficients, step)
 
     everything: list[AnyFamily] = [*library.forces, *library.displacements]
-    out = [screened(family, *_columns_of(family, known, library)) for family in everything]
+    out = [screened(family, *tangent.of_family(family, library)) for family in everything]
     free = [s for s in out if isinstance(s.family, Family) and s.family.each_trial]
     for parent in sorted(free, key=lambda s: -s.gain)[:_RHYTHMS]:
-        out += [screened(*found) for found in _rhythms(parent.family, known, library)]
+        out += [screened(*found) for found in _rhythms(parent.family, tangent, library)]
     return sorted(out, key=lambda s: -s.gain)
 
 
@@ -328,26 +336,56 @@ def smoothed(found: Screened, known: Slopes, library: Library, base: Hypothesis,
     """
     if isinstance(found.family, Family) and found.family.each_trial:
         return found
-    columns, weights = _columns_of(found.family, known, library)
-    fitted = _Equations(known, slice(known.train), *_room(library, base, longest))
+    tangent = _Tangent(known, *_room(library, base, longest))
+    products, weights = tangent.of_family(found.family, library)
     best, least = found, np.inf
-    for scale in _SCALES[found.scale * (1 + 1e-9) >= _SCALES][::-1]:
-        step, coefficients = fitted.solve(columns, scale * weights)
-        left = known.residuals + known.base @ step + columns @ coefficients
-        cost = float(left @ left)
+    for scale in SCALES[found.scale * (1 + 1e-9) >= SCALES][::-1]:
+        step, coefficients = tangent.fitted.solve(products.fitted, scale * weights)
+        cost = tangent.both.left(products.both, step, coefficients)
         if cost < least:
             best, least = replace(found, scale=float(scale), coefficients=coefficients, step=step), cost
     return best
 
 
-def _columns_of(family: AnyFamily, known: Slopes, library: Library) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (r, p) by a family's coefficients, and the weights (p,) of their prior."""
-    if isinstance(family, Displacement):
-        return known.displaced[family.name], _weights_of(family)
-    rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
-    columns = np.stack([known.columns[:, row].sum(axis=1) for row in rows], axis=1)
-    weights = _weights_of(family)
-    return _of_each_trial(columns, weights, known) if family.each_trial else (columns, weights)
+@dataclass(frozen=True)
+class _OfTrials:
+    """Products of a family's slopes in the rows of the fitted trial, and in those of both."""
+
+    fitted: Products
+    both: Products
+
+    @classmethod
+    def made_of(cls, parts: Sequence[Products], *, each_trial: bool) -> _OfTrials:
+        """Return those of the fitted and the held-out trial's, whose coefficients are the same or their own."""
+        fitted, held_out = parts
+        if each_trial:
+            return cls(fitted.beside(held_out.nothing), fitted.beside(held_out))
+        return cls(fitted, fitted.plus(held_out))
+
+
+class _Tangent:
+    """Equations of the fitted trial and of both, and products of families, trial by trial."""
+
+    def __init__(self, known: Slopes, lower: np.ndarray, upper: np.ndarray):
+        self.trials = known.trials
+        base = np.vstack([known.fitted.base, known.prior_base])
+        residuals = np.concatenate([known.fitted.residuals, known.prior_residuals])
+        self.fitted = Equations(base, residuals, lower, upper)
+        residuals = np.concatenate([residuals, known.held_out.residuals])
+        self.both = Equations(np.vstack([base, known.held_out.base]), residuals, lower, upper)
+
+    def of_family(self, family: AnyFamily, library: Library) -> tuple[_OfTrials, np.ndarray]:
+        """Return products of a family, and the weights (p,) of its coefficients' prior."""
+        weights = _weights_of(family)
+        if isinstance(family, Displacement):
+            parts = [trial.products(trial.displaced[family.name]) for trial in self.trials]
+            return _OfTrials.made_of(parts, each_trial=False), weights
+        of_rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
+        index = sorted({i for row in of_rows for i in row})
+        mixed = np.array([[row.count(i) for row in of_rows] for i in index], float)
+        parts = [trial.products(trial.columns[:, index]).mixed(mixed) for trial in self.trials]
+        each = family.each_trial
+        return _OfTrials.made_of(parts, each_trial=each), np.tile(weights, 2) if each else weights
 
 
 def _weights_of(family: AnyFamily) -> np.ndarray:
@@ -357,33 +395,26 @@ def _weights_of(family: AnyFamily) -> np.ndarray:
     return np.array([row[0].weight for row in family.terms])
 
 
-def _of_each_trial(columns: np.ndarray, weights: np.ndarray, known: Slopes) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (r, 2p) and weights (2p,) where each trial has coefficients of its own."""
-    fitted = columns.copy()
-    fitted[known.train :] = 0
-    return np.hstack([fitted, columns - fitted]), np.tile(weights, 2)
-
-
 def _rhythms(
-    parent: AnyFamily, known: Slopes, library: Library
-) -> Iterator[tuple[Family, np.ndarray, np.ndarray]]:
-    """Rhythms in place of a free history, their slopes and weights; a sine of time is a sum of its cosines."""
+    parent: AnyFamily, tangent: _Tangent, library: Library
+) -> Iterator[tuple[Family, _OfTrials, np.ndarray]]:
+    """Rhythms in place of a free history, their products and weights; a sine of time is a sum of its cosines."""
     assert isinstance(parent, Family)
     index = [library.index[row[0].joint, row[0].name] for row in parent.terms]
     joint = parent.terms[0][0].joint
     first = len(parent.depends_on) - 1
     cosines = [Term(f"cos({k} pi time)", joint, cosine(k)) for k in range(first, first + len(index))]
     of_trial = [np.linalg.pinv(library.signals(cosines, context).T) for context in library.contexts]
-    parts = known.columns[: known.train, index], known.columns[known.train :, index]
+    alone = [trial.products(trial.columns[:, index]) for trial in tangent.trials]
     longest = max(float(library.variables(c)["time"].scale) for c in library.contexts)
     for hz in np.arange(_SLOWEST_HZ, FASTEST_HZ - _SLOWEST_HZ, 1 / (_PER_TURN * longest)):
         family = with_rhythm(parent, float(hz))
-        alone = [replace(row[0], basis=b) for row, b in zip(family.terms, _sines(float(hz)), strict=True)]
-        columns = []
-        for part, inverse, context in zip(parts, of_trial, library.contexts, strict=True):
-            sines = np.array([t.basis(library.variables(context), library.ranges, 0.01) for t in alone])
-            columns.append(part @ (inverse @ sines.T))
-        yield family, *_of_each_trial(np.vstack(columns), np.ones(2), known)
+        turns = [replace(row[0], basis=b) for row, b in zip(family.terms, _sines(float(hz)), strict=True)]
+        parts = []
+        for part, inverse, context in zip(alone, of_trial, library.contexts, strict=True):
+            sines = np.array([t.basis(library.variables(context), library.ranges, 0.01) for t in turns])
+            parts.append(part.mixed(inverse @ sines.T))
+        yield family, _OfTrials.made_of(parts, each_trial=True), np.ones(4)
 
 
 def _sines(hz: float) -> list[Basis]:
@@ -395,61 +426,6 @@ def _room(library: Library, base: Hypothesis, longest: float) -> tuple[np.ndarra
     limits = [library.system.bounds(), *(placed.bounds() for placed in base.effects)]
     lower, upper = (np.concatenate(ends) for ends in zip(*limits, strict=True))
     return np.maximum(lower - base.z, -longest), np.minimum(upper - base.z, longest)
-
-
-def _solved(
-    a: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray, square: float
-) -> tuple[np.ndarray, float]:
-    """Return the step inside the bounds of normal equations ``a`` (n, n), ``b`` (n,), and the square that it leaves."""
-    step = bounded_step(a, b, lower, upper)
-    return step, float(square + 2 * b @ step + step @ a @ step)
-
-
-class _Equations:
-    """Least squares in the base's parameters and the coefficients of one family, for some rows of the slopes."""
-
-    def __init__(self, known: Slopes, rows: slice, lower: np.ndarray, upper: np.ndarray):
-        self._rows, self._lower, self._upper = rows, lower, upper
-        self._base, self._r = known.base[rows], known.residuals[rows]
-        self._a = self._base.T @ self._base
-        self._a[np.diag_indices_from(self._a)] += 1e-9
-        self._b = self._base.T @ self._r
-        self._square = float(self._r @ self._r)
-        self._alone = _solved(self._a, self._b, lower, upper, self._square)[1]
-        self._log_det = float(np.linalg.slogdet(self._a)[1])
-
-    def _with(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return normal matrix and slope of base and family, without a prior of the coefficients."""
-        f = columns[self._rows]
-        across = self._base.T @ f
-        a = np.block([[self._a, across], [across.T, f.T @ f]])
-        return a, np.concatenate([self._b, f.T @ self._r])
-
-    def _held(self, a: np.ndarray, b: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return normal matrix, step and what is left with coefficients of prior ``sd`` (p,)."""
-        n, far = len(self._lower), np.full(len(sd), np.inf)
-        held = a.copy()
-        held[range(n, len(a)), range(n, len(a))] += 1 / sd**2
-        lower, upper = np.concatenate([self._lower, -far]), np.concatenate([self._upper, far])
-        return held, *_solved(held, b, lower, upper, self._square)
-
-    def solve(self, columns: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step of the base (n,) and the coefficients (p,)."""
-        _, step, _ = self._held(*self._with(columns), sd)
-        n = len(self._lower)
-        return step[:n], step[n:]
-
-    def best_scale(self, columns: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-        """Return the prior scale of the largest evidence, and the gain in ln evidence over the base alone."""
-        normal, best = self._with(columns), (float(_SCALES[0]), -np.inf)
-        for scale in _SCALES:
-            sd = scale * weights
-            held, _, left = self._held(*normal, sd)
-            occam = np.linalg.slogdet(held)[1] - self._log_det + 2 * np.sum(np.log(sd))
-            gain = 0.5 * (self._alone - left - occam)
-            if gain > best[1]:
-                best = float(scale), float(gain)
-        return best
 
 
 @dataclass(frozen=True)
@@ -513,7 +489,7 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     a[np.diag_indices_from(a)] += 1e-9
     lower = np.maximum(train.lower - z, -longest)
     upper = np.minimum(train.upper - z, longest)
-    _, left = _solved(a, jac.T @ r, lower, upper, float(r @ r))
+    _, left = solved(a, jac.T @ r, lower, upper, float(r @ r))
     n = len(hypothesis.base)
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
@@ -676,6 +652,8 @@ def measure(
     screened = screen(known, library, base, longest)
     trial = _Trial(pair, library, search, ln_evidence(pair, plain, longest), longest, progress)
     chosen = [smoothed(s, known, library, base, longest) for s in _diverse(screened, options["refits"])]
+    # some hundred MB that nothing below asks for
+    del known
     laws = [trial.refitted((), s, base) for s in chosen]
     laws = sorted(laws, key=lambda law: -law.gain)
     for law in laws[:3]:

@@ -112,6 +112,8 @@ class JointResiduals(least_squares.Residuals):
         fitted = np.concatenate([np.ones(n, bool), *(p.of_trial(held_out=False) for p in effects)])
         here = ~fitted if evidence.held_out else fitted
         self.free = np.flatnonzero(here & (self.upper - self.lower > NO_RANGE))
+        acting = [p.of_trial(held_out=evidence.held_out) for p in effects]
+        self._acting = np.concatenate([np.ones(n, bool), *acting])
         self.evaluations = 0
         self.last: np.ndarray | None = None
 
@@ -143,7 +145,7 @@ class JointResiduals(least_squares.Residuals):
 
     def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As of `least_squares.Residuals`."""
-        if not self._is_force()[free].any():
+        if not self._worth_linearising(free):
             return super().with_jacobian(z, free)
         r = self.many(z[None])[0]
         return r, self.jacobian(z, r, free)
@@ -158,7 +160,7 @@ class JointResiduals(least_squares.Residuals):
 
     def _slopes_by(self, z: np.ndarray, r: np.ndarray, free: np.ndarray) -> np.ndarray:
         forces = self._is_force()[free]
-        by_forces = self._by_forces(z, free[forces]) if forces.any() else None
+        by_forces = self._by_forces(z, free[forces]) if self._worth_linearising(free) else None
         if by_forces is None:
             return super().jacobian(z, r, free)
         out = np.empty((len(r), len(free)))
@@ -189,6 +191,11 @@ class JointResiduals(least_squares.Residuals):
         for placed, own in zip(self.effects, self._places, strict=True):
             out[own] = placed.effect.plant.linear
         return out
+
+    def _worth_linearising(self, free: np.ndarray) -> bool:
+        """Whether the coordinates (k,) hold more coefficients of planned forces than replays cost a linearisation."""
+        asked = self._is_force() & self._acting
+        return bool(asked[free].sum() > self._replay.linearisation_cost)
 
     def _by_forces(self, z: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
         """Slopes (n_r, k) by coefficients of planned forces; None where the simulation is not linear in forces.

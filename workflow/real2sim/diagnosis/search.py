@@ -46,6 +46,31 @@ class Pair:
         return self.train if self.exchanged else self.held_out
 
 
+@dataclass(frozen=True)
+class Beside:
+    """Tangent of an effect beside others: at ``z`` (n + p,), with ``residuals`` (n_r,) and its ``columns`` (n_r, p).
+
+    ``jacobian_before`` (n_b, n), of fewer prior rows, is that of the others. It is shared: of hundreds of hypotheses,
+    copies of it would fill the memory.
+    """
+
+    z: np.ndarray
+    residuals: np.ndarray
+    columns: np.ndarray
+    jacobian_before: np.ndarray
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """The Jacobian (n_r, n + p)."""
+        more = len(self.residuals) - len(self.jacobian_before)
+        return np.hstack([np.pad(self.jacobian_before, ((0, more), (0, 0))), self.columns])
+
+    @property
+    def whole(self) -> Tangent:
+        """The same with a Jacobian of its own."""
+        return Tangent(self.z, self.residuals, self.jacobian)
+
+
 @dataclass
 class Screened:
     """A hypothesis before its refit: predicted cost on the training trial and where to start.
@@ -57,7 +82,7 @@ class Screened:
     effects: tuple[Placed, ...]
     predicted: float
     start: np.ndarray
-    tangent: Tangent
+    tangent: Tangent | Beside
 
 
 def conflict(effects: Sequence[Placed]) -> bool:
@@ -163,8 +188,10 @@ class Search:
 
         Once more where even the start without the strap's old parameters is better than what came out.
         """
-        fitted = self.fit(screened.effects, screened.start, tangent=screened.tangent)
-        origin = screened.tangent.z
+        known = screened.tangent
+        whole = known.whole if isinstance(known, Beside) else known
+        fitted = self.fit(screened.effects, screened.start, tangent=whole)
+        origin = known.z
         if fitted.chi2[0] >= FAILED:
             fitted = self.fit(screened.effects, origin)
         own = len(screened.effects[-1].effect.parameters)
@@ -280,12 +307,11 @@ class Search:
             at = residuals.many(z)
             # prior rows of the base's own effects stand before those of the new one
             base = np.pad(here.residuals, (0, at.shape[1] - len(here.residuals)))
-            rows = np.pad(here.jacobian, ((0, at.shape[1] - len(here.residuals)), (0, 0)))
             logarithmic = any(parameter.log for parameter in placed.effect.parameters)
             slopes = None if logarithmic else _parabola(starts, at, base)
             for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
-                tangent = Tangent(z[i], at[i], np.hstack([rows, columns]))
+                tangent = Beside(z[i], at[i], columns, here.jacobian)
                 step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
                 found.append(Screened(effects, cost, tangent.z + step, tangent))
             # a tangent that foretells more than the fit without the effect leaves was taken too far off
@@ -336,14 +362,15 @@ def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.n
     return [(odd + 2 * even * x)[:, None] for x in starts[:, 0]]
 
 
-def _together(here: Tangent, one: Tangent, other: Tangent) -> Tangent:
+def _together(here: Tangent, one: Tangent | Beside, other: Tangent | Beside) -> Tangent:
     """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
     rows, columns = here.jacobian.shape
     both = (one, other)
     changed = here.residuals + sum(t.residuals[:rows] - here.residuals for t in both)
     # prior rows of one effect do not see the other
-    own = block_diag(*(t.jacobian[rows:, columns:] for t in both))
-    top = np.hstack([here.jacobian, *(t.jacobian[:rows, columns:] for t in both)])
+    added = [t.columns if isinstance(t, Beside) else t.jacobian[:, columns:] for t in both]
+    own = block_diag(*(c[rows:] for c in added))
+    top = np.hstack([here.jacobian, *(c[:rows] for c in added)])
     bottom = np.hstack([np.zeros((len(own), columns)), own])
     return Tangent(
         np.concatenate([here.z, *(t.z[columns:] for t in both)]),
@@ -402,7 +429,7 @@ def _of_axis(index: Mapping[int, int], axis: int) -> list[int]:
 
 
 def _bounded_step(
-    tangent: Tangent, lower: np.ndarray, upper: np.ndarray, longest: float
+    tangent: Tangent | Beside, lower: np.ndarray, upper: np.ndarray, longest: float
 ) -> tuple[np.ndarray, float]:
     """Return the Gauss-Newton step inside the bounds, ``longest`` a coordinate, and the cost that it predicts."""
     z, r, jacobian = tangent.z, tangent.residuals, tangent.jacobian

@@ -327,6 +327,11 @@ class Effect:
         return f"{self.name} {self.form.strip('_')}".strip()
 
     @property
+    def only_seen(self) -> bool:
+        """Return whether simulations go as without it: it changes nothing but what the sensors show of them."""
+        return self.plant is NEUTRAL and self.chains.input is None and self.chains.observation is None
+
+    @property
     def exported(self) -> str:
         """Return what an exported model holds of it: `NATIVE`, `PLANNED` or `CHAIN`."""
         if self.chains.of_measurement:

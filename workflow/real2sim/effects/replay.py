@@ -15,6 +15,7 @@ from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context, Poses
 from real2sim.effects.controller import Answer
 from real2sim.effects.frames import move_rest
+from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.linear import Linearised
@@ -114,6 +115,8 @@ class EffectReplay(Replay):
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
+        # whether simulations of equal parameters differ by what they are commanded
+        self._own_commands = False
         self._impedance = self._impedance_of(np.empty((0, len(self.system.parameters))))
         self._beside = np.zeros((self._batch.nsim, 6))
         self._swaying = np.zeros((self._batch.nsim, 6))
@@ -258,10 +261,12 @@ class EffectReplay(Replay):
         ``shifts`` [m, rad] and ``rates`` [m/s, rad/s], (nsim, 6) by robot joint.
         """
         self._beside[:], self._swaying[:] = shifts, rates
+        self._own_commands = True
 
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another pelvis command (nstep, 6) from now on."""
         self._control[simulation, :, :6] = self._commands[simulation] = command
+        self._own_commands = True
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate strap parameters (m, 12) with searched numbers (m, p) of each effect.
@@ -269,26 +274,25 @@ class EffectReplay(Replay):
         Returns interface sites (m, n, 2, 3) [m, world] as the markers show them and robot joints (m, n, 6) as its log
         shows them, relative to the start pose [m, rad]. A simulation that MuJoCo gave up on is NaN.
         """
-        m = len(parameters)
         values = [self._own(placed, part) for placed, part in zip(self.effects, x, strict=True)]
-        self._values, self._impedance = values, self._impedance_of(parameters)
+        # every simulation that has a command or start of its own is its own
+        first = which = np.arange(len(parameters))
+        if not self._own_commands:
+            first, which = simulations(self.effects, parameters, values)
+        self._values, self._impedance = [v[first] for v in values], self._impedance_of(parameters[first])
         if self._sightings:
-            self._see(m)
-        sensors = self._simulate(parameters)
+            self._see(len(first))
+        sensors = self._simulate(parameters[first])
         paths = self._samples(sensors)
         start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
         joints = sensors[:, :: self.stride, self._robot_columns] - start
-        # what MuJoCo gave up on stays NaN, and the others are none the worse for it
-        done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2, 3)))
-        if self._sightings and len(done):
-            paths[done], joints[done] = self._seen(paths[done], joints[done], sensors[done], done)
-        for placed, value in zip(self.effects, values, strict=True):
-            if placed.effect.chains.output is not None and len(done):
-                paths[done] = placed.effect.chains.output(paths[done], value[done], self._context)
-            if placed.effect.chains.log is not None and len(done):
-                joints[done] = placed.effect.chains.log(joints[done], value[done], self._context)
-        assert len(paths) == m
-        return paths, joints
+        if self._sightings:
+            # what MuJoCo gave up on stays NaN, and the others are none the worse for it
+            done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2, 3)))
+            if len(done):
+                paths[done], joints[done] = self._seen(paths[done], joints[done], sensors[done], done)
+        self._unchained: Unchained = paths[0], joints[0], [v[:1] for v in values]
+        return chained(self.effects, paths[which], joints[which], values, self._context)
 
     def _seen(
         self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray
@@ -494,13 +498,15 @@ class EffectReplay(Replay):
     def linearised(self) -> Linearised | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
 
-        Something sticks, stops, answers the interface, stands at rest by forces or is seen otherwise than it is.
+        Something sticks, stops, answers the interface, stands at rest by forces or is seen from another frame.
         """
-        seen = any(
-            p.effect.chains.output or p.effect.chains.log or p.effect.chains.observation for p in self.effects
-        )
         rough = self._frictional or self._stopped or self._settled or self._standing or self._laws
-        return None if seen or rough else Linearised(self.as_simulated(), self.stride)
+        return None if self._sightings or rough else Linearised(self.as_simulated(), self.stride)
+
+    @property
+    def linearisation_cost(self) -> int:
+        """Simulations that take as long as a linearisation: every other step, one either way by state and control."""
+        return int(2 * self.model.nv + self.model.na + self.model.nu)
 
     def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
@@ -509,7 +515,8 @@ class EffectReplay(Replay):
         """
         sensors = linear.sensors(forces, self._columns_of[effect])
         paths = sensors[:, :, self._columns]
-        return paths.reshape(*paths.shape[:2], 2, 3), sensors[:, :, self._robot_columns]
+        moved = paths.reshape(*paths.shape[:2], 2, 3), sensors[:, :, self._robot_columns]
+        return chained_slopes(self.effects, self._unchained, moved, self._context)
 
     def as_simulated(self) -> Simulated:
         """As of `Replay`; what relaxes starts where it has done so."""

@@ -11,6 +11,7 @@ import numpy as np
 from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context
 from real2sim.effects.replay import by_axis
+from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.errors import InputError
 from real2sim.system.batches import untimed_batch
 from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
@@ -113,6 +114,8 @@ class SystemReplay:
         self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
         # simulations whose segment would have to be driven farther than it can be
         self._failed, self._impossible = np.zeros(nsim, bool), set[bytes]()
+        # whether simulations of equal parameters differ by command or start
+        self._own_commands = False
         self._chains = [i for i, p in enumerate(self.effects) if p.effect.chains.input is not None]
 
     def _sense(self, spec: mujoco.MjSpec) -> Channels:
@@ -153,9 +156,11 @@ class SystemReplay:
     def set_command(self, simulation: int, command: np.ndarray) -> None:
         """Let one simulation follow another command (nstep, c) from now on."""
         self._commands[simulation] = command
+        self._own_commands = True
 
     def shift_start(self, simulation: int, joint: str, by: float, *, rate: bool = False) -> None:
         """Let one simulation start with another position or ``rate`` of a joint [SI], the segment as it is."""
+        self._own_commands = True
         index = self.model.joint(joint)
         wanted = np.zeros(self.model.nv)
         wanted[index.dofadr[0]] = by
@@ -188,29 +193,30 @@ class SystemReplay:
             placed.values(part)[:, placed.of_trial(held_out=held_out)]
             for placed, part in zip(self.effects, x, strict=True)
         ]
-        impedance = self._impedance(parameters)
-        out = self._simulate(parameters, impedance, values)
-        n = self.channels.observed
-        stride = self._setup.stride
-        paths, logs = out[:, ::stride, :n].copy(), out[:, ::stride, n:].copy()
-        done = np.flatnonzero(np.isfinite(paths).all(axis=(1, 2)))
-        for placed, value in zip(self.effects, values, strict=True):
-            if placed.effect.chains.output is not None and len(done):
-                paths[done] = placed.effect.chains.output(paths[done], value[done], self._context)
-            if placed.effect.chains.log is not None and len(done):
-                logs[done] = placed.effect.chains.log(logs[done], value[done], self._context)
-        return paths, logs
+        # every simulation that has a command or start of its own is its own
+        first = which = np.arange(len(parameters))
+        if not self._own_commands:
+            first, which = simulations(self.effects, parameters, values)
+        impedance = self._impedance(parameters[first])
+        out = self._simulate(parameters[first], impedance, [v[first] for v in values])
+        n, stride = self.channels.observed, self._setup.stride
+        paths, logs = out[:, ::stride, :n], out[:, ::stride, n:]
+        self._unchained: Unchained = paths[0], logs[0], [v[:1] for v in values]
+        return chained(self.effects, paths[which], logs[which], values, self._context)
 
     def linearised(self) -> Linearised | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
 
-        Something sticks, stops, stands at rest by forces or is seen otherwise than it is.
+        Something sticks, stops or stands at rest by forces, or a force is seen.
         """
-        chains = [p.effect.chains for p in self.effects]
-        seen = any(c.output is not None or c.log is not None for c in chains)
-        seen = seen or any(o.quantity == "force" for o in self._setup.system.outputs)
+        seen = any(o.quantity == "force" for o in self._setup.system.outputs)
         rough = self._sticks or self._setup.settled or any(p.effect.plant.weighed for p in self.effects)
         return None if seen or rough else Linearised(self.as_simulated(), self._setup.stride)
+
+    @property
+    def linearisation_cost(self) -> int:
+        """Simulations that take as long as a linearisation: every other step, one either way by state and control."""
+        return int(2 * self.model.nv + self.model.na + self.model.nu)
 
     def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
@@ -220,7 +226,8 @@ class SystemReplay:
         placed = self.effects[effect]
         sensors = linear.sensors(forces, placed.effect.plant.columns(self.model, placed.where))
         n = self.channels.observed
-        return sensors[:, :, :n], sensors[:, :, n:]
+        moved = sensors[:, :, :n], sensors[:, :, n:]
+        return chained_slopes(self.effects, self._unchained, moved, self._context)
 
     def as_simulated(self) -> Simulated:
         """Return model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""

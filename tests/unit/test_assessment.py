@@ -151,15 +151,15 @@ def test_input_noise_costs_with_the_square_of_its_size(trial, model):
 def test_slope_of_the_input_noise_is_the_excess_slope_of_the_cost(trial, tmp_path):
     # over many noisy recordings of one trial the mean slope of J at the truth is what the noise of the input adds
     z = np.log(as_vector(trial.parameters))
-    slopes, foretold = [], []
+    slopes, predicted = [], []
     for seed in range(6):
         noisy = model_of(record(tmp_path / str(seed), noise_m=0.0005, seed=10 + seed))
         residual, jacobian = central_jacobian(problem_of(noisy), z, 1e-3)
         slopes.append(jacobian.T @ residual)
         if seed < 2:
-            foretold.append(InputNoise(noisy, np.full(4, 0.0005), robot=ROBOT, settings=STEPPED)(z).score)
+            predicted.append(InputNoise(noisy, np.full(4, 0.0005), robot=ROBOT, settings=STEPPED)(z).score)
     mean, spread = np.mean(slopes, axis=0), np.std(slopes, axis=0, ddof=1) / np.sqrt(len(slopes))
-    expected = np.mean(foretold, axis=0)
+    expected = np.mean(predicted, axis=0)
     clear = np.abs(expected) > 4 * spread
     assert clear.sum() >= 3
     assert mean[clear] == pytest.approx(expected[clear], rel=0.4)

@@ -135,6 +135,17 @@ def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
     assert far.group == (NONE,)
 
 
+def test_companions_of_the_verdict_are_no_rivals_of_it():
+    """Two effects that act together, under either initial state: neither is mistaken for the other."""
+    plain = Candidate((), (60_000.0, 60_000.0))
+    together = Candidate(("slack", "coulomb"), (2_900.0, 2_900.0))
+    alone = [Candidate(("slack",), (20_000.0, 20_000.0)), Candidate(("coulomb",), (30_000.0, 30_000.0))]
+    decision = decide(plain, [together, *alone], (2880, 2880), CALIBRATION)
+    assert decision.chosen == 0
+    assert min(decision.probabilities[n] for n in together.names) > LEAST
+    assert averaged(decision, decision, 0.3, LEAST, together.names).group == decision.group
+
+
 def test_samples_that_jump_are_a_second_cause_beside_any_gap():
     plain = Candidate((), (200_000.0, 1_600_000.0))
     sets = [

@@ -455,7 +455,7 @@ def test_a_rival_in_its_place_starts_from_the_strap_of_the_best():
     asked = []
 
     class Beside(_Counting):
-        def afresh(self, effects, base, fitted):
+        def refit_fresh(self, effects, base, fitted):
             asked.append((effects[-1].effect.name, base[0]))
             return Hypothesis(effects, fitted.z, (2850.0, 2850.0))
 

@@ -1,4 +1,4 @@
-"""Further trials: what fits to two trials foretell of another one."""
+"""Further trials: what fits to two trials predict of another one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis import further
-from real2sim.diagnosis.further import foretold, information
+from real2sim.diagnosis.further import information, predict_further
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import FAILED
 
@@ -47,7 +47,7 @@ def test_the_predictive_likelihood_is_that_of_a_gaussian(pair):
     two, trial = pair
     third, fourth = trial(5), trial(4, 3.0)
     fit = _at_optimum(two)
-    found = foretold(two, fit, [third, fourth], np.inf)
+    found = predict_further(two, fit, [third, fourth], np.inf)
     # both together: what is measured scatters by noise, and by what is not known of the numbers
     matrix = np.vstack([third.matrix, fourth.matrix])
     spread = np.eye(9) + matrix @ np.linalg.inv(information(two, fit)) @ matrix.T
@@ -61,7 +61,7 @@ def test_a_step_beyond_what_a_tangent_bears_is_not_taken(pair):
     two, trial = pair
     third = trial(5, 1e-3)
     third.measured = 10 * np.ones(5)
-    free, held = (foretold(two, _at_optimum(two), [third], longest)[0] for longest in (np.inf, 1e-3))
+    free, held = (predict_further(two, _at_optimum(two), [third], longest)[0] for longest in (np.inf, 1e-3))
     assert held.chi2 >= free.chi2
 
 
@@ -69,13 +69,13 @@ def test_a_simulation_that_fails_explains_nothing_of_that_trial(pair):
     two, trial = pair
     broken, sound = trial(5), trial(5)
     broken.measured = np.full(5, np.nan)
-    first, second = foretold(two, _at_optimum(two), [broken, sound], np.inf)
+    first, second = predict_further(two, _at_optimum(two), [broken, sound], np.inf)
     assert first.chi2 == FAILED
     assert second.chi2 < 1e3
 
 
 def test_without_further_trials_there_is_nothing_to_foretell(pair):
-    assert foretold(pair[0], _at_optimum(pair[0]), [], 1.0) == []
+    assert predict_further(pair[0], _at_optimum(pair[0]), [], 1.0) == []
 
 
 def test_a_history_of_the_held_out_trial_is_not_that_of_another(pair):
@@ -86,7 +86,7 @@ def test_a_history_of_the_held_out_trial_is_not_that_of_another(pair):
     )
     fit = Hypothesis((placed,), np.array([0.1, 0.2, 7.0]), (1.0, 1.0))
     third = trial(5)
-    found = foretold(two, fit, [third], 1.0)[0]
+    found = predict_further(two, fit, [third], 1.0)[0]
     # of its own number nothing is known but the prior
     known = information(two, fit)
     known[2], known[:, 2] = 0.0, 0.0

@@ -96,7 +96,7 @@ def test_a_tangent_taken_before_spares_jacobians_while_it_foretells_steps():
         assert np.allclose(z, TRUTH, atol=1e-3)
         counts.append(problem.evaluations - before)
     assert counts[1] == counts[0] - 12
-    # one that foretells the wrong way is not believed
+    # one that predicts the wrong way is not believed
     wrong = Tangent(start + 1e-3, r, -jacobian)
     before = problem.evaluations
     minimise(problem, start, np.arange(12), known=wrong, **options)

@@ -73,5 +73,7 @@ def test_a_proposal_is_told_in_one_phrase():
     text = told(json.loads(json.dumps(proposal)))
     assert text.startswith("sway sideways; a and b would then be 41 standard deviations of noise apart")
     assert text.endswith("where they are 3 apart in the trial at hand")
+    nowhere = told(proposal | {"now_sd": None})
+    assert nowhere.endswith("41 standard deviations of noise apart")
     with pytest.raises(KeyError):
         told({"motion": "sway"})

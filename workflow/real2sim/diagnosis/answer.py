@@ -208,7 +208,9 @@ def answer(
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
             share = share_of_other(costs, options["calibration"])
-            decision = averaged(own, under_other, share, options["calibration"]["ambiguity_probability"])
+            named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
+            least = options["calibration"]["ambiguity_probability"]
+            decision = averaged(own, under_other, share, least, named)
     progress(f"verdict {decision.verdict}")
     account = _Account(found, decision, settings)
     result = account.diagnosis(otherwise)
@@ -349,7 +351,7 @@ class _Account:
     def _further(self) -> list[dict[str, Any]]:
         """What the plain plant and the answer's fit leave of each further trial, numbers moved as far as is known."""
         options = self._settings["diagnosis"]
-        plain, best = (self._found.foretold(h, options) for h in (self._attribution.plain, self._best))
+        plain, best = (self._found.predict_further(h, options) for h in (self._attribution.plain, self._best))
         return [
             {"chi2_plain": a.chi2, "chi2_best": b.chi2, "chi2_expected": evidence.samples}
             for a, b, evidence in zip(plain, best, self._found.further, strict=True)

@@ -280,7 +280,7 @@ def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
     if not search.is_noise(best):
         return found
     return [
-        search.afresh(h.effects, best.base, h)
+        search.refit_fresh(h.effects, best.base, h)
         if h is not best and _rivals(best.effects[0], h.effects[0])
         else h
         for h in found

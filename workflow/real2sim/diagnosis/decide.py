@@ -316,16 +316,24 @@ def share_of_other(costs: tuple[float, float], c: DiagnosisCalibrationSettings) 
     return float(1 / (1 + np.exp(np.clip(own - other, -50, 50))))
 
 
-def averaged(decision: Decision, other: Decision, share: float, ambiguity_probability: float) -> Decision:
-    """A decision with a ``share`` of the probabilities of the one for the other hold (`share_of_other`).
+def averaged(
+    decision: Decision,
+    other: Decision,
+    share: float,
+    ambiguity_probability: float,
+    named: Sequence[str] = (),
+) -> Decision:
+    """Return a decision with a ``share`` of the probabilities under the other initial state (`share_of_other`).
 
-    Verdict and named set stay those of the likelier hold. Effects above ``ambiguity_probability`` join its group.
+    Verdict and ``named`` set stay those of the likelier initial state. Effects outside that set whose probability
+    exceeds ``ambiguity_probability`` join its group.
     """
     mixed = {
         name: (1 - share) * value + share * other.probabilities[name]
         for name, value in decision.probabilities.items()
     }
-    also = [n for n in EFFECT_NAMES if n not in decision.group and mixed[n] > ambiguity_probability]
+    known = {*decision.group, *named}
+    also = [n for n in EFFECT_NAMES if n not in known and mixed[n] > ambiguity_probability]
     group = (*decision.group, *sorted(also, key=lambda n: -mixed[n]))
     return replace(decision, probabilities=mixed, sets=decision.sets * (1 - share), group=group)
 

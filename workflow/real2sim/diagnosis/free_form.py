@@ -329,10 +329,10 @@ def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) ->
 
 
 def smoothed(found: Screened, known: Slopes, library: Library, base: Hypothesis, longest: float) -> Screened:
-    """Return a screened family with the prior scale at which its coefficients of the fitted trial foretell best.
+    """Return a screened family with the prior scale at which its coefficients of the fitted trial predict best.
 
     The evidence lets a function be as rough as both trials together ask for. Where the fitted one does not determine
-    that roughness, its best coefficients foretell badly: a smaller scale, which the other trial chooses, is smoother.
+    that roughness, its best coefficients predict badly: a smaller scale, which the other trial chooses, is smoother.
     """
     if isinstance(found.family, Family) and found.family.each_trial:
         return found
@@ -446,7 +446,7 @@ class Law:
 
     @property
     def is_free(self) -> bool:
-        """Return whether its first family has any history, so that it foretells nothing."""
+        """Return whether its first family has any history, so that it predicts nothing."""
         return isinstance(self.families[0], Family) and self.families[0].is_free
 
     @property
@@ -671,7 +671,7 @@ def _grown_best(
     options: DiagnosisFreeFormSettings,
     grow_share: float,
 ) -> list[Law]:
-    """The laws with further families on top of the best; one that foretells goes before one of any history.
+    """The laws with further families on top of the best; one that predicts goes before one of any history.
 
     A free history can stand for every law of its axis. What depends on something that was recorded says more, and is
     taken where it gains nearly as much once it has grown.
@@ -679,8 +679,8 @@ def _grown_best(
     if not laws or not laws[0].is_free:
         return _grown(laws, screened, trial, options, grow_share)
     others = [law for law in laws if not law.is_free]
-    foretelling = [s for s in screened if not (isinstance(s.family, Family) and s.family.is_free)]
-    grown = _grown(others, foretelling, trial, options, grow_share)
+    predicting = [s for s in screened if not (isinstance(s.family, Family) and s.family.is_free)]
+    grown = _grown(others, predicting, trial, options, grow_share)
     if grown and grown[0].gain > (1 - grow_share) * laws[0].gain:
         larger = [law for law in grown if all(law is not other for other in laws)]
         return [*larger, *laws] if larger else [grown[0], *(law for law in laws if law is not grown[0])]
@@ -745,7 +745,7 @@ def _grown(
 def _explains_more(smaller: Law, larger: Law, samples: Sequence[int], share: float) -> bool:
     """Whether a larger law leaves less of the trial that it was fitted to and of the other.
 
-    A history of its own in each trial mends what another law foretells badly there: it has to take away a ``share`` of
+    A history of its own in each trial mends what another law predicts badly there: it has to take away a ``share`` of
     what stands above noise in each of them.
     """
     both = list(zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, samples, strict=True))

@@ -1,4 +1,4 @@
-"""Further trials of the same person: what sets of effects that two trials were enough to fit foretell of another one.
+"""Further trials of the same person: what sets of effects that two trials were enough to fit predict of another one.
 
 A set's numbers are known as well as the trials before let them be. What it leaves of a further trial is the least with
 numbers that move no further than that, and the predictive likelihood is the one of Laplace's approximation: chi-squared
@@ -19,7 +19,7 @@ from real2sim.inference.least_squares import bounded_step
 
 
 @dataclass(frozen=True)
-class Foretold:
+class Predicted:
     """Chi-squared that a set leaves of a further trial, and what the predictive likelihood adds to it."""
 
     chi2: float
@@ -40,9 +40,9 @@ def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     return total
 
 
-def foretold(
+def predict_further(
     pair: Pair, hypothesis: Hypothesis, further: Sequence[Evidence], longest: float
-) -> list[Foretold]:
+) -> list[Predicted]:
     """Return what a hypothesis leaves of further trials, one after the other, each told by those before.
 
     ``longest`` is the longest step of a searched number that a tangent is believed for.
@@ -61,7 +61,7 @@ def foretold(
         known[own], known[:, own] = 0.0, 0.0
         known[own, own] = 1 / problem.prior_sd[own] ** 2
         if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
-            out.append(Foretold(FAILED, 0.0))
+            out.append(Predicted(FAILED, 0.0))
             continue
         here = r + jacobian @ moved
         # a coefficient of a trial's own history acts linearly however far it goes
@@ -73,9 +73,9 @@ def foretold(
         narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
         left, moved_by = float(np.sum((here + jacobian @ step) ** 2)), float(step @ known @ step + narrowed)
         if not np.isfinite([left, moved_by]).all():
-            out.append(Foretold(FAILED, 0.0))
+            out.append(Predicted(FAILED, 0.0))
             continue
-        out.append(Foretold(left, moved_by))
+        out.append(Predicted(left, moved_by))
         known, moved = more, moved + step
     return out
 

@@ -71,8 +71,8 @@ def propose(
     """Return the trial that parts two rivals most, None where there are no two of them, or no trials to imagine.
 
     Keys: ``motion`` in words, ``rivals``, ``difference_sd`` (the smaller of both ways round), ``now_sd`` (how far they
-    are apart in the held-out trial at hand), ``tried`` (every motion with its difference). ``longest`` is the longest
-    step of a searched number that the tangent is believed for.
+    are apart in the held-out trial at hand; None where either cannot be simulated as the other says), ``tried`` (every
+    motion with its difference). ``longest`` is the longest step of a searched number that the tangent is believed for.
     """
     if len(rivals) < 2:
         return None
@@ -96,11 +96,12 @@ def propose(
         return None
     tried.sort(key=lambda row: -row[0])
     difference, motion = tried[0]
+    now = apart(pair.held_out)
     return {
         "motion": motion,
         "rivals": [rival.name for rival in rivals],
         "difference_sd": difference,
-        "now_sd": apart(pair.held_out),
+        "now_sd": now if np.isfinite(now) else None,
         "tried": [{"motion": words, "difference_sd": sd} for sd, words in tried],
     }
 
@@ -108,11 +109,9 @@ def propose(
 def told(proposal: Mapping[str, Any]) -> str:
     """Return a proposal of `propose` in one phrase."""
     one, other = proposal["rivals"]
-    far, now = (round(proposal[key]) for key in ("difference_sd", "now_sd"))
-    return (
-        f"{proposal['motion']}; {one} and {other} would then be {far} standard deviations of noise apart, where they "
-        f"are {now} apart in the trial at hand"
-    )
+    far, now = round(proposal["difference_sd"]), proposal["now_sd"]
+    known = "" if now is None else f", where they are {round(now)} apart in the trial at hand"
+    return f"{proposal['motion']}; {one} and {other} would then be {far} standard deviations of noise apart{known}"
 
 
 def _left(

@@ -113,7 +113,7 @@ class Search:
     ) -> Hypothesis:
         """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged.
 
-        ``tangent``, where one was taken near the start, spares the first Jacobian as far as it foretells the start.
+        ``tangent``, where one was taken near the start, spares the first Jacobian as far as it predicts the start.
         """
         residuals = self._residuals(effects, coarse=not final)
         own = self._settings
@@ -195,9 +195,9 @@ class Search:
         if fitted.chi2[0] >= FAILED:
             fitted = self.fit(screened.effects, origin)
         own = len(screened.effects[-1].effect.parameters)
-        return self.afresh(screened.effects, origin[: len(origin) - own], fitted)
+        return self.refit_fresh(screened.effects, origin[: len(origin) - own], fitted)
 
-    def afresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
+    def refit_fresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
         """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``.
 
         Of an effect that has no axis, already where it is better than the fit without the effect.
@@ -314,7 +314,7 @@ class Search:
                 tangent = Beside(z[i], at[i], columns, here.jacobian)
                 step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
                 found.append(Screened(effects, cost, tangent.z + step, tangent))
-            # a tangent that foretells more than the fit without the effect leaves was taken too far off
+            # a tangent that predicts more than the fit without the effect leaves was taken too far off
             if min((s.predicted for s in found), default=np.inf) <= nothing:
                 break
         self.evaluations += residuals.evaluations

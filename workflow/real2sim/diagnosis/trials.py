@@ -32,7 +32,7 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence
-from real2sim.diagnosis.further import Foretold, foretold
+from real2sim.diagnosis.further import Predicted, predict_further
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
@@ -48,7 +48,7 @@ class Trials:
 
     ``load`` maps a trial's name and an initial-state hypothesis (True: in static equilibrium) to its evidence;
     ``options`` is the slice ``diagnosis`` of the configuration; ``progress`` is told what is going on; ``places`` are
-    the effects to try, None for everything everywhere; ``further`` are more trials that fits have to foretell.
+    the effects to try, None for everything everywhere; ``further`` are more trials that fits have to predict.
     """
 
     train: str
@@ -110,31 +110,31 @@ class Trials:
 
 @dataclass(frozen=True)
 class Found:
-    """Two trials, what the search found of them, and further trials that it has to foretell."""
+    """Two trials, what the search found of them, and further trials that it has to predict."""
 
     pair: Pair
     attribution: Attribution
     further: tuple[Evidence, ...] = ()
-    _foretold: dict[tuple[str, bytes], list[Foretold]] = field(default_factory=dict, repr=False)
+    _predictions: dict[tuple[str, bytes], list[Predicted]] = field(default_factory=dict, repr=False)
 
     @property
     def samples(self) -> tuple[int, ...]:
         """Whitened residuals of all trials."""
         return (*self.attribution.samples, *(evidence.samples for evidence in self.further))
 
-    def foretold(self, hypothesis: Hypothesis, options: DiagnosisSettings) -> list[Foretold]:
+    def predict_further(self, hypothesis: Hypothesis, options: DiagnosisSettings) -> list[Predicted]:
         """Return what a hypothesis leaves of the further trials; ``options``: slice ``diagnosis``."""
         key = hypothesis.key, hypothesis.z.tobytes()
-        if self.further and key not in self._foretold:
+        if self.further and key not in self._predictions:
             longest = options["search"]["longest_step"]
-            self._foretold[key] = foretold(self.pair, hypothesis, self.further, longest)
-        return self._foretold.get(key, [])
+            self._predictions[key] = predict_further(self.pair, hypothesis, self.further, longest)
+        return self._predictions.get(key, [])
 
     def candidate(
         self, hypothesis: Hypothesis, options: DiagnosisSettings, law: Sequence[str] = ()
     ) -> Candidate:
         """Return a hypothesis as the decision sees it; ``law`` are the keys of families without a name."""
-        more = self.foretold(hypothesis, options)
+        more = self.predict_further(hypothesis, options)
         occam = hypothesis.occam - self.attribution.plain.occam + sum(f.occam for f in more)
         chi2 = (*hypothesis.chi2, *(f.chi2 for f in more))
         if law:

@@ -304,7 +304,7 @@ class Family:
 
     @property
     def is_free(self) -> bool:
-        """Return whether it has any history: it can stand for every law of its axis, and foretells nothing."""
+        """Return whether it has any history: it can stand for every law of its axis, and predicts nothing."""
         return self.each_trial and self.kind != "rhythm"
 
     @property

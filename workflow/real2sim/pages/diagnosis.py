@@ -298,7 +298,7 @@ def _exchanged(d: Mapping[str, Any]) -> str:
     if d["fitted_the_other_way"]:
         return (
             f"Nothing that was fitted to {other} explains {fitted}. Effects were fitted to {fitted} instead, and had "
-            f"to foretell {other}: the gap is told of that one."
+            f"to predict {other}: the gap is told of that one."
         )
     if _shown(d) == d["held_out"]:
         return ""

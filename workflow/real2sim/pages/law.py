@@ -62,7 +62,7 @@ def sentence(law: Mapping[str, Any]) -> str:
     else:
         text += f"; it takes away {percent(law['chi2_closed'])} of what chi-squared has above noise"
     if law.get("own_history_in_each_trial"):
-        text += "; nothing that was recorded foretells it, so that its history was fitted on both trials. "
+        text += "; nothing that was recorded predicts it, so that its history was fitted on both trials. "
     else:
         text += " on the trial that it was not fitted to. "
     if law["nearest"] is not None and law["nearest"]["gap_closed"] is not None:

@@ -114,7 +114,7 @@ def diagnose(
         Slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the
         configuration.
     further
-        Folders of more dynamic trials, which fits to the first two have to foretell: the one that an answer proposed.
+        Folders of more dynamic trials, which fits to the first two have to predict: the one that an answer proposed.
     limits, step
         Joint limits and step study of the person, where they exist.
     gates

@@ -1,7 +1,8 @@
 """Proximal policy optimisation in numpy (Schulman et al., arXiv 1707.06347): two small networks and their gradients.
 
 Why our own: networks of two hidden layers of 128 units are faster in numpy than in torch at this batch size, and no
-user has to install gigabytes (docs/decisions.md). The gradients are tested against finite differences.
+user has to install gigabytes (docs/decisions/0099-ppo-in-numpy.md). The gradients are tested against finite
+differences.
 """
 
 from __future__ import annotations

@@ -36,11 +36,12 @@ def test_ci_runs_the_readmes_test_command():
         "README.md",
         "config/README.md",
         "docs/assumptions.md",
-        "docs/decisions.md",
         "docs/library.md",
         "docs/measured-law.md",
         "examples/README.md",
         "docs/troubleshooting.md",
+        "docs/decisions/README.md",
+        *sorted(f"docs/decisions/{path.name}" for path in (ROOT / "docs" / "decisions").glob("0*.md")),
     ],
 )
 def test_links_of_a_page_lead_somewhere(page):

@@ -375,3 +375,15 @@ def test_a_neutral_mechanism_leaves_the_plant_as_it_is():
     assert plain.to_xml() == mujoco.MjSpec.from_string(ONE_AXIS).to_xml()
     assert NEUTRAL.force(np.zeros((1, 1)), Recording(np.zeros(3)), where, None) is None
     assert Chains().empty
+
+
+def test_every_effect_has_plain_words_and_a_picture_on_its_page():
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
+    sys.path.insert(0, str(ROOT / "docs"))
+    from make_effects_reference import IMAGES, MEANING
+
+    assert set(MEANING) == set(EFFECT_NAMES)
+    for name in EFFECT_NAMES:
+        assert f"\n## {name}\n\n{MEANING[name]}\n" in page
+        assert (IMAGES / f"{name}.png").exists(), f"run: python docs/make_effects_pictures.py {name}"
+        assert f"(images/effects/{name}.png)" in page

@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 import json
 import re
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 from real2sim.artefacts import write_json
 from real2sim.pages.report import FIGURES, report_page
+from real2sim.pages.validation import RECORD_KEYS
 from synthetic_study import REMEDY, write_study
 from test_pages import _diagnosis, _Page
 
@@ -126,6 +128,49 @@ def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeyp
     assert "The first 2 of them:" in page.text
     assert "each fit file names its own" in page.text
     assert len(content) < len(path.read_text(encoding="utf-8"))
+
+
+def _record(path: Path, seed: int, share: float) -> Path:
+    claim = {"claim": "top-1, rho = 0.05", "value": share, "n": 40, "wilson95": [share - 0.1, share + 0.05]}
+    other = {"claim": "expected calibration error", "value": 0.033, "n": 40, "wilson95": None}
+    claims = [claim | {"target": ">= 80 %", "met": True}, other | {"target": "<= 0.04", "met": True}]
+    about = {
+        "suite": "standard",
+        "seed": seed,
+        "rests_on": "phantom: synthetic",
+        "cases": 240,
+        "commit": "abc1234",
+    }
+    write_json(path, about | {"date": f"2026-11-{seed}", "claims": claims})
+    return path
+
+
+def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
+    arguments = write_study(tmp_path)
+    answer = tmp_path / "diagnosis.json"
+    write_json(answer, _diagnosis())
+    records = [_record(tmp_path / "old.json", 10, 0.5), _record(tmp_path / "new.json", 20, 0.9)]
+    out = tmp_path / "report.html"
+    report_page(**arguments, title="S", out=out, diagnoses=[answer], validation=records)
+    page, _ = _parsed(out)
+    assert page.open == []
+    assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
+    first = page.text.index("Suite standard, seed 20: 240 cases")
+    assert "Code of commit abc1234, 2026-11-20" in page.text[first : first + 200]
+    assert first < page.text.index("An earlier one: suite standard, seed 10")
+    assert "80 % to 95 %" in page.text
+    assert "None of them is a recording of a person" in page.text
+
+
+def test_a_scored_suite_becomes_a_record_that_the_report_reads():
+    path = Path(__file__).parents[2] / "benchmarks" / "ship_validation.py"
+    ship = spec_from_file_location("ship_validation", path)
+    module = module_from_spec(ship)
+    ship.loader.exec_module(module)
+    score = {"cases": 40, "failed": [{"case": "C0001", "error": "x"}], "targets": [{"claim": "a"}]}
+    made = module.record(score, {"name": "ci", "seed": 7}, "abc1234", "2026-11-26")
+    assert set(RECORD_KEYS) <= set(made)
+    assert made["failed"] == ["C0001"]
 
 
 @pytest.mark.parametrize("phantom", [True, False])

@@ -19,6 +19,8 @@ REPORTED = [
     or PEOPLE[name].cohort == "validation"
     or Path(f"results/diagnosis/{name}/diagnosis.json").exists()
 ]
+# How often such answers are right, by scored suites (benchmarks/ship_validation.py)
+VALIDATION_RECORDS = sorted(str(path) for path in Path("resources/validation").glob("*.json"))
 # People at a time are faster than threads for one; where there are fewer people than cores, the rest of them helps
 DIAGNOSIS_THREADS = max(1, min(4, (workflow.resource_settings.cores or 1) // max(1, len(DIAGNOSED))))
 

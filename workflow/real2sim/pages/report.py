@@ -37,6 +37,7 @@ from real2sim.pages.page import (
     verdict,
 )
 from real2sim.pages.style import signed
+from real2sim.pages.validation import RECORD_KEYS, withheld_check
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, worst
 
 Row = dict[str, str]
@@ -247,6 +248,7 @@ class Study:
     sharing: Sharing
     walking: Walking
     diagnoses: list[dict[str, Any]]
+    validation: list[dict[str, Any]]
     claims: Table
 
 
@@ -273,6 +275,7 @@ def report_page(
     bars: Path | None = None,
     refined: list[Path] | None = None,
     diagnoses: list[Path] | None = None,
+    validation: list[Path] | None = None,
 ) -> None:
     """Write the report of a study: cohort, gates, tightness, identification, priors, validation, claims, provenance.
 
@@ -292,6 +295,8 @@ def report_page(
         Refinements of unseen people.
     diagnoses
         diagnosis.json of those who have one.
+    validation
+        Records of scored suites (resources/validation): how often such answers are right.
     """
     study = Study(
         people=people,
@@ -302,6 +307,7 @@ def report_page(
         sharing=Sharing.read(icc, classes, priors, anthropometrics, loso, refined or []),
         walking=Walking.read(interface, gait, bars),
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
+        validation=[read_json(path, RECORD_KEYS) for path in validation or []],
         claims=Table.read(claims),
     )
     write_text(out, _page(study, title))
@@ -897,6 +903,7 @@ def _diagnoses(study: Study) -> str:
         paragraph(_answers(study)),
         _figure(study, "gap"),
         _one_by_one(study, _answers_table(study)),
+        withheld_check(study.validation),
         one_by_one,
     )
 

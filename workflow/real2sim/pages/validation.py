@@ -1,0 +1,83 @@
+"""How often answers of the diagnosis are right: scored suites, as the report shows them beside its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from real2sim.pages.page import folded, paragraph, percent, rounded, table
+
+RECORD_KEYS = ("suite", "seed", "rests_on", "cases", "commit", "date", "claims")
+# Claims of a score that a reader asks first, in plain words
+FIRST = {
+    "cause, top-1, rho >= 0.2": "one cause, a gap of 0.2 of the noise floor and more: named first",
+    "top-1, rho = 0.05": "one cause, a gap of 0.05 of the noise floor: named first",
+    "mixture: both in the top 3": "two causes at once: both among the first three",
+    "form mismatch: family": "a cause with another equation than the catalogue's: named",
+    "out of library: unknown": "a cause that is not in the catalogue: unknown",
+    "out of library: a wrong name": "a cause that is not in the catalogue: a wrong name",
+    "false alarm on null": "no cause at all: one is claimed all the same",
+    "right where surer than 90 %": "answers surer than 90 %: right",
+}
+
+
+def withheld_check(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return what scored suites say of answers like these, as markup; empty without a record.
+
+    ``records`` are files of resources/validation (`RECORD_KEYS`).
+    """
+    if not records:
+        return ""
+    latest = sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
+    parts = [
+        paragraph(
+            "How often is such an answer right? The same code diagnosed people whose causes were withheld from it "
+            "until its answers were scored. None of them is a recording of a person: how often an answer about a "
+            "real person is right is not known."
+        )
+    ]
+    for i, record in enumerate(latest):
+        whole = _table(record, [row for row in record["claims"] if row["value"] is not None], FIRST)
+        first = [row for row in record["claims"] if row["claim"] in FIRST and row["value"] is not None]
+        name = f"suite {record['suite']}, seed {record['seed']}"
+        if i == 0:
+            parts.append(
+                _table(record, sorted(first, key=lambda row: list(FIRST).index(row["claim"])), FIRST)
+            )
+            parts.append(folded(f"All claims of the {name}", whole))
+        else:
+            parts.append(folded(f"An earlier one: {name}, {record['date']}", whole))
+    return "\n".join(parts)
+
+
+def _table(record: Mapping[str, Any], claims: Sequence[Mapping[str, Any]], words: Mapping[str, str]) -> str:
+    rows = [
+        [
+            escape(words.get(row["claim"], row["claim"])),
+            _value(row),
+            _interval(row),
+            str(row["n"]),
+            escape(row["target"]),
+            {True: "met", False: "missed", None: ""}[row["met"]],
+        ]
+        for row in claims
+    ]
+    caption = (
+        f"Suite {record['suite']}, seed {record['seed']}: {record['cases']} cases. Rests on the "
+        f"{record['rests_on']}. Code of commit {record['commit']}, {record['date']}. Interval: Wilson, 95 %. rho: gap "
+        "of a case over its noise floor."
+    )
+    head = ["Claim", "Share or value", "95 % interval", "Cases", "Goal", "Goal met"]
+    return table(head, rows, caption=escape(caption), numeric=(1, 2, 3))
+
+
+def _value(row: Mapping[str, Any]) -> str:
+    return percent(row["value"]) if row["wilson95"] else rounded(row["value"])
+
+
+def _interval(row: Mapping[str, Any]) -> str:
+    if not row["wilson95"]:
+        return ""
+    low, high = row["wilson95"]
+    return f"{percent(low)} to {percent(high)}"

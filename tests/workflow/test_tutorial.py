@@ -1,20 +1,19 @@
-"""The tutorial's commands, run as they are written by someone who has a clean clone and nothing else.
+"""The tutorial's commands, run as they are written by someone who has a clean clone and environment-lock.txt alone.
 
 The budget in config/quick.yaml and the phantom's trials are the miniature's, so that it takes a minute.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.conftest import ROOT, miniature
+from tests.plain_environment import environment
 
 COMMANDS = re.findall(
     r"^```sh\n(.+?)^```", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8"), re.S | re.M
@@ -22,11 +21,10 @@ COMMANDS = re.findall(
 
 
 def _shell(command: str, folder: Path) -> str:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", command],
         cwd=folder,
-        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"PATH": path},
+        env=environment(folder.parent / "plain"),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -63,6 +61,16 @@ def test_the_tutorial_ends_where_it_says(told):
     assert "P01" in page
     assert "needs at least 2 people, have 1" in page
     assert not (folder / "results" / "fits" / "S01").exists(), "the phantom steps aside"
+
+
+def test_the_readmes_bundle_of_the_report_is_made(told):
+    folder, _ = told
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    command = next(c for c in re.findall(r"`(snakemake --report [^`]+)`", readme))
+    _shell(f"{command} --configfile config/quick.yaml", folder)
+    bundle = (folder / command.split()[-1]).read_text(encoding="utf-8")
+    assert "report.html" in bundle
+    assert "priors" in bundle
 
 
 def test_the_person_can_be_taken_out_again(told):

@@ -165,3 +165,19 @@ def test_every_exception_is_still_needed():
 @pytest.mark.parametrize("said", [r"\bcontract\b", "design/", "superset", r"(?<!docs/)effects\.md"])
 def test_the_library_refers_to_no_document_outside_the_repository(said):
     assert [str(path) for path in ROOT.rglob("*.py") if re.search(said, path.read_text())] == []
+
+
+QUESTIONS = {"What", "Where", "How", "Whether", "Which", "Why", "When", "Who"}
+
+
+def test_no_docstring_opens_with_a_question():
+    """A first line says what is returned or done, to somebody who has not read the module."""
+    opened = [
+        f"{module}.{node.name}"
+        for module, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and (said := ast.get_docstring(node))
+        and said.split()[0].rstrip(",:") in QUESTIONS
+    ]
+    assert opened == []

@@ -14,7 +14,7 @@ LIBRARY = Path(__file__).parent
 
 
 class Provenance(TypedDict):
-    """What a result rests on: SHA-256 by input path, versions by package, fingerprint of the code."""
+    """Provenance of a result: SHA-256 by input path, versions by package, fingerprint of the code."""
 
     inputs_sha256: dict[str, str]
     python: str

@@ -289,7 +289,7 @@ def _of_both_states(
 
 
 def _otherwise(found: Found, decision: Decision) -> dict[str, Any]:
-    """What the answer would be under the other initial-state hypothesis."""
+    """Return the answer under the other initial-state hypothesis."""
     attribution = found.attribution
     return {
         "robot_holds": found.initial_state,
@@ -314,7 +314,7 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
 
 
 class _Account:
-    """What is said of one search and its decision."""
+    """Account of one search and its decision."""
 
     def __init__(self, found: Found, decision: Decision, settings: Settings):
         self._found, self._decision, self._settings = found, decision, settings
@@ -349,7 +349,7 @@ class _Account:
         )
 
     def _further(self) -> list[dict[str, Any]]:
-        """What the plain plant and the answer's fit leave of each further trial, numbers moved as far as is known."""
+        """Return chi-squared of plain plant and answer for each further trial, numbers moved as far as is known."""
         options = self._settings["diagnosis"]
         plain, best = (self._found.predict_further(h, options) for h in (self._attribution.plain, self._best))
         return [
@@ -583,7 +583,7 @@ def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool) -> dict[st
 
 
 def _baselines(attribution: Attribution) -> dict[str, str]:
-    """What simpler rules would say of the same fits, single effects only."""
+    """Return the verdicts of simpler rules on the same fits, single effects only."""
     single = [h for h in attribution.hypotheses if len(h.effects) == 1]
     if not single:
         return {}
@@ -602,7 +602,7 @@ def _baselines(attribution: Attribution) -> dict[str, str]:
 
 
 def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str, str]:
-    """What rules say that take every sample of J for a measurement of its own, from the training trial."""
+    """Return the verdicts of rules that take every sample of J of the training trial for independent."""
     fits = [attribution.plain, *(h for h in attribution.hypotheses if len(h.effects) == 1)]
     j = np.array([h.j[0] for h in fits])
     free = np.array([len(h.z) for h in fits])

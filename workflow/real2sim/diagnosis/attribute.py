@@ -262,7 +262,7 @@ def _alone(
 def _behind(
     search: Search, screened: Screened, best: Hypothesis, plain: Hypothesis, settings: DiagnosisSearchSettings
 ) -> bool:
-    """Whether an effect promises so little beside a single one that explains all or nearly all that it is no answer."""
+    """Return whether an effect promises too little beside a single one that explains nearly all to be an answer."""
     n = search.samples[0]
     left, gap = (sum(h.chi2) - sum(search.samples) for h in (best, plain))
     if search.is_noise(best):
@@ -353,7 +353,7 @@ def _redrawn(
 
 
 def _has_many_constants(law: Placed, many: int) -> bool:
-    """Whether a law of one axis has so ``many`` constants that a few starts may miss the best of them."""
+    """Return whether a law of one axis has so ``many`` constants that a few starts may miss the best of them."""
     return len(law.effect.parameters) >= many and len(law.where.axes) == 1
 
 
@@ -459,7 +459,7 @@ def _elsewhere(hypothesis: Hypothesis, places: Iterable[Placed]) -> list[Placed]
 
 
 def _keys(effects: Sequence[Placed]) -> frozenset[str]:
-    """What makes two sets the same: effects and places, in any order."""
+    """Return the identity of a set: effects and places, in any order."""
     return frozenset(placed.key for placed in effects)
 
 
@@ -547,17 +547,17 @@ def _one_by_one(
 
 
 def _same_place(one: Placed, other: Placed) -> bool:
-    """Whether two places are the same axes and side."""
+    """Return whether two places are the same axes and side."""
     return (one.where.axes, one.where.side) == (other.where.axes, other.where.side)
 
 
 def _rivals(one: Placed, other: Placed) -> bool:
-    """Whether another place is on the same axis, or on all, and of an effect that is mistaken for this one."""
+    """Return whether another place is on the same axis, or on all, and of an effect that is mistaken for this one."""
     return _alike(one, other) and other.where.axes in (one.where.axes, ())
 
 
 def _alike(one: Placed, other: Placed) -> bool:
-    """Whether one effect is mistaken for the other."""
+    """Return whether one effect is mistaken for the other."""
     return are_confusable(one.effect.name, other.effect.name)
 
 

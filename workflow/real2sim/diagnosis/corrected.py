@@ -32,7 +32,7 @@ _STEP_LN = 1e-3
 
 @dataclass(frozen=True)
 class Correction:
-    """How far the bias by noise of the drive is taken off: keys ``corrected_*`` of ``diagnosis.search``.
+    """Limits of the correction for noise of the drive: keys ``corrected_*`` of ``diagnosis.search``.
 
     ``draws`` of the noise and their ``seed``; ``iterations`` at most; ``longest_ln``, the longest step of an
     ln-parameter; ``enough_sd``, the step in SD at which the iteration ends; ``near_ln``, how far an ln-parameter may
@@ -64,7 +64,7 @@ class Correction:
 def noise_terms(
     residuals: Callable[[np.ndarray], np.ndarray], z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What noise adds to slope (n,) and normal matrix (n, n) of half the sum of squares at searched parameters (n,).
+    """Return the part of slope (n,) and normal matrix (n, n) of half the sum of squares that noise makes, at (n,).
 
     ``residuals`` (draws, n_r) are what it does to them at a point (n,).
     """

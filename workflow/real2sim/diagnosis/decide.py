@@ -301,7 +301,7 @@ def with_layers(
 
 
 def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
-    """Which candidates (n,) give an answer whose likeliest form, by log-probabilities ``z``, is ambiguous."""
+    """Return a mask (n,) of candidates whose answer's likeliest form, by log-probabilities ``z``, is ambiguous."""
     best: dict[tuple[frozenset[str], bool], int] = {}
     for i, candidate in enumerate(candidates):
         if candidate.answer not in best or z[i] > z[best[candidate.answer]]:

@@ -254,7 +254,7 @@ class DescribedTrial:
 
     @property
     def _still(self) -> bool:
-        """Whether the recording begins with standing still, long enough to tell where."""
+        """Return whether the recording begins with standing still, long enough to tell where."""
         return self._start >= round(self._settings["still_s"] * self._rate)
 
     @property

@@ -59,11 +59,11 @@ class Evidence(Protocol):
 
     @property
     def held_out(self) -> bool:
-        """Whether this is not the trial that is fitted."""
+        """Return whether this is not the trial that is fitted."""
 
     @property
     def settled(self) -> bool:
-        """Whether the machine is in static equilibrium with the interface at the start."""
+        """Return whether the machine is in static equilibrium with the interface at the start."""
 
     @property
     def scales(self) -> Scales:
@@ -71,11 +71,11 @@ class Evidence(Protocol):
 
     @property
     def context(self) -> Context:
-        """What effects are computed from."""
+        """Measurements that effects are computed from."""
 
     @property
     def skin(self) -> Skin | None:
-        """What markers of the driven segment show of each other; None where they show nothing."""
+        """Model of the segment's markers by each other; None where they do not determine one."""
 
     @property
     def noise(self) -> np.ndarray:
@@ -122,7 +122,7 @@ class Evidence(Protocol):
 
     @property
     def noise_source(self) -> str:
-        """Where the noise floor comes from, in words."""
+        """Source of the noise floor, in words."""
 
     @property
     def plain_samples(self) -> float:

@@ -498,7 +498,7 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
 
 @dataclass(frozen=True)
 class _Trial:
-    """What refits of families need: trials, families, search, ln evidence of the plain plant, longest step [ln]."""
+    """Refits of families: trials, families, search, ln evidence of the plain plant, longest step [ln]."""
 
     pair: Pair
     library: Library
@@ -743,7 +743,7 @@ def _grown(
 
 
 def _explains_more(smaller: Law, larger: Law, samples: Sequence[int], share: float) -> bool:
-    """Whether a larger law leaves less of the trial that it was fitted to and of the other.
+    """Return whether a larger law leaves less of the trial that it was fitted to and of the other.
 
     A history of its own in each trial mends what another law predicts badly there: it has to take away a ``share`` of
     what stands above noise in each of them.

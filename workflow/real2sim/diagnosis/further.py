@@ -81,7 +81,7 @@ def predict_further(
 
 
 def _of_each_trial(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
-    """Which numbers (n + p,) the held-out trial has of its own: another trial has others, of which nothing is known."""
+    """Return a mask (n + p,) of the held-out trial's own numbers: those of another trial are not known."""
     base = np.zeros(len(hypothesis.base), bool)
     effects = [p.of_trial(held_out=True) & ~p.of_trial(held_out=False) for p in hypothesis.effects]
     return np.concatenate([base, *effects])

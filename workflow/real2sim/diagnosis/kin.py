@@ -39,7 +39,7 @@ def is_kin(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -
 
 
 def _holds(kinds: set[str], family: AnyFamily, effect: Effect) -> bool:
-    """Whether an effect is a special case of a family, which is of these ``kinds``."""
+    """Return whether an effect is a special case of a family, which is of these ``kinds``."""
     return family.name in effect.kinds or (family.stage == effect.stage and bool(kinds & set(effect.kinds)))
 
 

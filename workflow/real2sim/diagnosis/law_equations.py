@@ -153,7 +153,7 @@ class _Spread:
 
     @cached_property
     def _alone(self) -> float:
-        """What the base takes from the square by itself."""
+        """Reduction of the square by the base alone."""
         return float(self._b @ self._by_base)
 
     def left(self, scales: np.ndarray, square: float) -> np.ndarray:

@@ -117,7 +117,7 @@ def with_law(
 
 
 def _left(found: Found, named: Hypothesis, options: DiagnosisSettings) -> Misfit:
-    """What a named set leaves, not marked yet."""
+    """Return the misfit of a named set, not marked yet."""
     search, plain = Search(found.pair, options["search"]), found.attribution.plain
     total = sum(search.samples)
     share = (sum(named.chi2) - total) / max(sum(plain.chi2) - total, float(np.sqrt(2 * total)))

@@ -186,14 +186,14 @@ class JointResiduals(least_squares.Residuals):
         return float(log_volume + away @ away)
 
     def _is_force(self) -> np.ndarray:
-        """Which coordinates (n + p,) are coefficients that a planned force is linear in."""
+        """Return a mask (n + p,) of the coefficients that a planned force is linear in."""
         out = np.zeros(len(self.lower), bool)
         for placed, own in zip(self.effects, self._places, strict=True):
             out[own] = placed.effect.plant.linear
         return out
 
     def _worth_linearising(self, free: np.ndarray) -> bool:
-        """Whether the coordinates (k,) hold more coefficients of planned forces than replays cost a linearisation."""
+        """Return whether coordinates (k,) hold more coefficients of planned forces than a linearisation costs."""
         asked = self._is_force() & self._acting
         return bool(asked[free].sum() > self._replay.linearisation_cost)
 
@@ -230,12 +230,12 @@ class JointResiduals(least_squares.Residuals):
 
     @property
     def _places(self) -> list[slice]:
-        """Where each effect's numbers are in a point."""
+        """Slices of each effect's numbers in a point."""
         ends = self._n + np.cumsum([0, *(len(placed.effect.parameters) for placed in self.effects)])
         return [slice(a, b) for a, b in pairwise(ends)]
 
     def _ways(self, placed: Placed, x: np.ndarray) -> tuple[Skin | None, list[np.ndarray]]:
-        """What judges an effect's ways of the pelvis' markers, and the ways, a row of numbers (m, p) each.
+        """Return the skin model and an effect's displacements of the pelvis' markers, one per row of numbers (m, p).
 
         None and no ways where the effect moves none, or the trial says nothing of them.
         """

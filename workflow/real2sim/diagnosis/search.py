@@ -341,7 +341,7 @@ class Search:
 
 
 def _beyond(left: float, expected: float, draws: np.ndarray | None) -> float:
-    """How far chi-squared is above what noise leaves, in SD of that: as expected, or as drawn where that is more."""
+    """Return chi-squared beyond noise, in SD of what noise leaves: as expected, or as drawn where that is more."""
     sd = float(np.sqrt(2 * expected))
     if draws is None or not np.isfinite(draws).all():
         return (left - expected) / sd

@@ -143,7 +143,7 @@ def _entry(
 
 
 def _occam(placed: Placed, index: int, x: np.ndarray, earned: np.ndarray) -> np.ndarray:
-    """What the marginal likelihood adds to chi-squared (s,), see `JointResiduals.occam_of`.
+    """Return the Occam terms (s,), see `JointResiduals.occam_of`.
 
     By the curvature of an effect that grows in proportion to its size and earns so much (s,) of the fitted trial; its
     other parameters are taken as known as well as that one.

@@ -24,7 +24,7 @@ class NeutralPose:
 
 @dataclass(frozen=True)
 class MarkerShapes:
-    """Where markers are on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m]."""
+    """Markers on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m]."""
 
     segment: np.ndarray
     interface: np.ndarray
@@ -102,7 +102,7 @@ Displacement = Callable[[np.ndarray, Context], np.ndarray]
 
 @dataclass(frozen=True)
 class Chains:
-    """What an effect does to measurements.
+    """Changes of the measurements by an effect.
 
     ``input`` maps values (p,) and context to a path of the segment (n, 3, 3), (n, 3); ``output`` maps simulated paths
     (m, n, ...), values (m, p) and context to paths; ``log`` does so with the machine's joints (m, n, j);
@@ -120,7 +120,7 @@ class Chains:
 
     @property
     def of_measurement(self) -> bool:
-        """Whether the effect is one of the measurement, and no part of a model of the plant."""
+        """Return whether the effect is one of the measurement, and no part of a model of the plant."""
         return bool(
             self.input
             or self.output
@@ -130,7 +130,7 @@ class Chains:
 
     @property
     def empty(self) -> bool:
-        """Whether the measurements are left as they are."""
+        """Return whether the measurements are left as they are."""
         return self == NO_CHAINS
 
 

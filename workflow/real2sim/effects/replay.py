@@ -158,7 +158,7 @@ class EffectReplay(Replay):
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
     def _input_basis(self, placed: Placed) -> InputBasis:
-        """How an input chain changes the pelvis command and its start, as far as the parameters' bounds.
+        """Return the changes of the pelvis command and its start by an input chain, up to the parameters' bounds.
 
         One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
         a tenth of its range: a lever arm of metres makes the square count.
@@ -219,7 +219,7 @@ class EffectReplay(Replay):
         return np.array([q for q, _ in states]), np.array([v for _, v in states])
 
     def _see(self, m: int) -> None:
-        """Where robot and interface start, and where the strap rests, of each of m simulations."""
+        """Find start of robot and interface, and rest pose of the strap, of each of m simulations."""
         self._sights, self._headings = [], np.zeros(m)
         seen = self._start_pose
         for k in range(m):

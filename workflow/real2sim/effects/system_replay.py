@@ -50,7 +50,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Channels:
-    """Where in the sensor data the observations and the machine's log are."""
+    """Places of the observations and of the machine's log in the sensor data."""
 
     markers: int
     outputs: tuple[str, ...]
@@ -63,7 +63,7 @@ class Channels:
 
 
 def supports(placed: Placed) -> bool:
-    """Whether the simulation of a described system can have an effect.
+    """Return whether the simulation of a described system can have an effect.
 
     It has neither another observation model than its markers nor a controller that answers the interface.
     """

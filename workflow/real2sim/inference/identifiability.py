@@ -98,7 +98,7 @@ class FlatDirection(TypedDict):
 
 
 class Assessment(TypedDict):
-    """What a fit determines; see `assess`. ``input_noise_m`` (4,) is the noise of the pelvis markers, where known."""
+    """Parameters that a fit determines; see `assess`. ``input_noise_m`` (4,): noise of the pelvis markers, if known."""
 
     J: float
     parameters: dict[str, AssessedParameter]
@@ -111,7 +111,7 @@ class Assessment(TypedDict):
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """What noise of the input adds to J: ``score`` (12,), half its gradient, and ``curvature`` (12, 12)."""
+    """Contribution of input noise to J: ``score`` (12,), half its gradient, and ``curvature`` (12, 12)."""
 
     score: np.ndarray
     curvature: np.ndarray

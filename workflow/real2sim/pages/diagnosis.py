@@ -293,7 +293,7 @@ def _shown(d: Mapping[str, Any]) -> list[str]:
 
 
 def _exchanged(d: Mapping[str, Any]) -> str:
-    """Why the other trial was fitted, where that is so."""
+    """Return the reason for fitting the other trial, where that is so."""
     fitted, other = _trials(d["train"]), _trials(d["held_out"])
     if d["fitted_the_other_way"]:
         return (
@@ -309,12 +309,12 @@ def _exchanged(d: Mapping[str, Any]) -> str:
 
 
 def _hangs_on_hold(d: Mapping[str, Any]) -> bool:
-    """Whether another answer was found for a robot that is held otherwise."""
+    """Return whether another answer was found for a robot that is held otherwise."""
     return d["otherwise"] is not None and d["otherwise"]["verdict_set"] != d["verdict_set"]
 
 
 def _hold(d: Mapping[str, Any]) -> str:
-    """Where the robot's controller is taken to hold, and what the answer would be if it held otherwise."""
+    """Return the sentence about the initial state of the robot, and the answer under the other one."""
     taken = {
         "start pose": "",
         "balance": "The robot is taken to have come to rest against the strap before the trials began: its controller "
@@ -380,7 +380,7 @@ def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
 
 
 def _same_set(cause: Mapping[str, Any], d: Mapping[str, Any]) -> bool:
-    """Whether the cause was refitted together with just the others of the verdict's set."""
+    """Return whether the cause was refitted together with just the others of the verdict's set."""
     return {cause["effect"], *cause.get("with", [])} == set(_set(d))
 
 
@@ -451,7 +451,7 @@ def _panels(d: Mapping[str, Any], groups: Mapping[str, Mapping[str, float]], nam
 
 
 def _place(d: Mapping[str, Any]) -> str:
-    """Where the gap lies, in a sentence."""
+    """Return the place of the gap, in a sentence."""
     stage = STAGES.get(d["where"]["stage"], d["where"]["stage"])
     axes = _listed(_main_axes(d) or ["no axis"])
     if d["verdict"] == "none":
@@ -562,7 +562,7 @@ def _titled(name: str, about: str) -> str:
 
 
 def _card(cause: Mapping[str, Any], *, open_: bool) -> str:
-    """What the cause is, and the values of its parameters."""
+    """Return the card of a cause with the values of its parameters."""
     where = f"{_stage(cause)}, {_listed(cause['axes'])}" if cause["axes"] else _stage(cause)
     together = f" Refitted together with {_listed(cause['with'])}." if cause.get("with") else ""
     rows = [_parameter_row(name, about) for name, about in cause["parameters"].items()]
@@ -833,7 +833,7 @@ def _next(d: Mapping[str, Any]) -> str:
 
 
 def _model(d: Mapping[str, Any]) -> str:
-    """Where the model for the next simulation is."""
+    """Return the pointer to the model for the next simulation."""
     names = dict.fromkeys(entry["effect"] for entry in d["model"]["effects"])
     what = (
         f"with {_listed(list(names))}" if names else "without an effect: the plain plant with the plain fit"

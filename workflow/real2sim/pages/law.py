@@ -76,7 +76,7 @@ def sentence(law: Mapping[str, Any]) -> str:
 
 
 def _dependence(law: Mapping[str, Any]) -> str:
-    """What a force depends on, and its kind."""
+    """Return the variables of a force and its kind, in words."""
     others = [_words(name) for name in law["depends_on"] if name != "time"]
     if not law.get("own_history_in_each_trial"):
         on = " and ".join(_words(name) for name in law["depends_on"])

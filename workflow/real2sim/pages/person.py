@@ -55,7 +55,7 @@ _WHO = (
 
 @dataclass
 class Person:
-    """What the page tells of; None where there is none."""
+    """Content of the page; None where there is none."""
 
     about: dict[str, Any]
     gates: dict[str, Any]
@@ -139,7 +139,7 @@ def _mean(refined: Mapping[str, Any], kind: str) -> float:
 
 
 def _notices(study: Person) -> list[str]:
-    """What has to be known before any number is believed."""
+    """Return the notices that a reader needs before any number."""
     refined, out = study.refined, []
     if refined["status"] != OK:
         out.append(f"Nothing was refined: {refined['status']}.")
@@ -417,7 +417,7 @@ def _against(refined: Mapping[str, Any]) -> str:
 
 
 def _beyond(refined: Mapping[str, Any]) -> str:
-    """What it costs to stay inside the intervals."""
+    """Return the sentence about the cost of staying inside the intervals."""
     out = []
     for name, trial in refined["trials"].items():
         further = trial["beyond_ends"]
@@ -458,7 +458,7 @@ def _elsewhere(refined: Mapping[str, Any]) -> str:
 
 
 def _more(refined: Mapping[str, Any]) -> str:
-    """What each fixed parameter would gain if it were free too."""
+    """Return the table of gains of each fixed parameter if it were free too."""
     gained = {name: trial["if_also_free"] for name, trial in refined["trials"].items()}
     fixed = [name for name in PARAMETERS if all(name in more for more in gained.values())]
     against = [name for name in fixed if all(more[name]["contradicts_prior"] for more in gained.values())]

@@ -401,7 +401,7 @@ def _person(rows: Sequence[Row], name: str) -> Row | None:
 
 
 def _notices(study: Study) -> list[str]:
-    """What has to be known before any number is believed."""
+    """Return the notices that a reader needs before any number."""
     notices = []
     for name, rows in (
         ("Shareability", study.sharing.icc.rows),
@@ -439,7 +439,7 @@ def _trials(study: Study) -> dict[tuple[str, str], str]:
 
 
 def _verdicts_of_people(study: Study) -> dict[str, Counter[str]]:
-    """How many trials of each person pass, are warned about, are refused."""
+    """Count the trials of each person that pass, are warned about, are refused."""
     counts: dict[str, Counter[str]] = {name: Counter() for name in study.people}
     for (person, _), gravest in _trials(study).items():
         if person in counts:
@@ -798,7 +798,7 @@ def _loso_table(study: Study) -> str:
 
 
 def _classes(study: Study) -> str:
-    """Which of the classes can be trusted."""
+    """Return the part about the classes that can be trusted."""
     rows = [
         [
             escape(row["parameter"]),
@@ -820,7 +820,7 @@ def _classes(study: Study) -> str:
 
 
 def _refinements(study: Study) -> str:
-    """What the priors are worth for someone unseen: as they are, refined, and beside a full calibration."""
+    """Return the part about priors for someone unseen: as they are, refined, and beside a full calibration."""
     rows = []
     for record in study.sharing.refined:
         for trial, found in record["trials"].items():

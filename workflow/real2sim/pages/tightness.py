@@ -22,7 +22,7 @@ def _series(rows: list[dict[str, str]], column: str) -> tuple[np.ndarray, np.nda
 
 
 def _looks(tables: Sized) -> list[dict[str, Any]]:
-    """How each person is drawn: told apart, or as one of many."""
+    """Return the looks of each person: told apart, or as one of many."""
     if len(tables) > style.NAMED_PEOPLE:
         return [style.CLOUD] * len(tables)
     return [style.person_style(index) for index in range(len(tables))]

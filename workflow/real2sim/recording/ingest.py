@@ -39,7 +39,7 @@ Columns = dict[str, tuple[np.ndarray, str, str]]
 
 @dataclass
 class _Trial:
-    """What the steps of one trial share."""
+    """Data that the steps of one trial share."""
 
     subject: str
     name: str
@@ -283,7 +283,7 @@ def _pelvis(
 
 
 def _bridge(offset: np.ndarray, gap: slice) -> np.ndarray:
-    """What to add to a rebuilt marker (n, 3) in a gap: measured minus rebuilt at its edges, linear between.
+    """Return the correction of a rebuilt marker (n, 3) in a gap: measured minus rebuilt at its edges, linear between.
 
     Skin moves the marker off its place in the neutral trial; without this the pose would jump where the marker
     is lost and found.

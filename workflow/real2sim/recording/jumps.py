@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JumpRule:
-    """What counts as a jump of a marker, for a rate and a cut-off.
+    """Criterion for a jump of a marker, for a rate and a cut-off.
 
     ``rate_hz`` and ``cutoff_hz`` are of the common clock and of the low-pass of the ingest, ``options`` is the slice
     ``diagnosis.jumps`` of the configuration.

@@ -134,7 +134,7 @@ class Bands:
 
     @property
     def is_filtered(self) -> bool:
-        """Whether the low-pass takes a part of the noise where it is measured."""
+        """Return whether the low-pass takes a part of the noise where it is measured."""
         return bool((self.response(np.array(self.standing_hz)) < 1).any())
 
     @property
@@ -344,7 +344,7 @@ class _SlowSearch:
 
     @property
     def heard(self) -> np.ndarray:
-        """Which frequencies tell of the noise."""
+        """Return the frequencies that show the noise."""
         return (self.frequency > 0) & (self.frequency < self.bands.standing_hz[1])
 
     def power(self, series: np.ndarray) -> np.ndarray:
@@ -408,7 +408,7 @@ def hold_uncertainty(
     robot: mujoco.MjModel,
     held: dict[str, dict[str, float]],
 ) -> np.ndarray:
-    """How far [m, rad] beside the balance a controller may hold and how fast the robot may move: SD (2, 6) by joint.
+    """Return the SD (2, 6), by joint, of a controller's set-point beside the balance [m, rad] and of initial rates.
 
     A person who sways pulls at a robot that has come to rest, and its damping and inertia take a part of the pull: it
     is never quite in balance, and never quite at rest. By how much the interface moves from second to second of

@@ -17,7 +17,7 @@ from real2sim.recording.trial import Trial
 
 @dataclass(frozen=True)
 class CutoffRule:
-    """Where the pelvis path is low-passed: slice ``diagnosis.pelvis`` of the configuration.
+    """Cut-off of the pelvis path's low-pass: slice ``diagnosis.pelvis`` of the configuration.
 
     ``lowest_cutoff_hz``: never below this [Hz]; ``loud_power``: a frequency counts where its power is so many times
     that of the noise; ``cutoff_margin``: the cut-off over the highest frequency that counts.
@@ -87,6 +87,6 @@ def rigid_markers(trial: Trial) -> np.ndarray:
 
 
 def pelvis_shape(trial: Trial) -> np.ndarray:
-    """Where the pelvis' markers are on it on average, (4, 3) [m]."""
+    """Return the mean places of the pelvis' markers on it, (4, 3) [m]."""
     rotation, away = trial.pelvis_rotation, trial.pelvis_markers - trial.pelvis_position[:, None]
     return np.asarray(np.nanmean(np.einsum("nji,nkj->nki", rotation, away), axis=0))

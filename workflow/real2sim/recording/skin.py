@@ -41,7 +41,7 @@ class Skin:
         return np.asarray((self.trends @ means @ self.against * self.weights).ravel() - self.seen)
 
     def against_it(self, ways: np.ndarray) -> float:
-        """What displacements (n, 4, 3) [m, pelvis] cost that the markers do not show; nothing where they do."""
+        """Return the cost of displacements (n, 4, 3) [m, pelvis] that the markers do not show; 0 where they do."""
         off = self.departures(ways)
         return max(float(off @ off - self.seen @ self.seen), 0.0)
 

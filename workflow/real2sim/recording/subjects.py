@@ -83,7 +83,7 @@ class Subject:
 
     @property
     def has_limits(self) -> bool:
-        """Whether both sweeps at T* were recorded, so that the joint limits are known."""
+        """Return whether both sweeps at T* were recorded, so that the joint limits are known."""
         return set(self.operating_point) <= set(self.trials)
 
     def trials_of(self, *kinds: str) -> list[str]:
@@ -149,7 +149,7 @@ def read_subject(folder: Path) -> Subject:
 
 
 def subject_values(folder: Path) -> dict[str, Any]:
-    """What a folder's `subject.yaml` says, valid by its schema. Raises InputError naming file and key."""
+    """Read a folder's `subject.yaml`, valid by its schema. Raises InputError naming file and key."""
     path = folder / SUBJECT_FILE
     if not os.path.lexists(path):
         expected = f"{SUBJECT_FILE} that says who this person is"

@@ -140,7 +140,7 @@ class TrialModel:
 def replay_inputs(
     trial: Trial, limits: JointLimits | None, robot: Path, settings: Settings
 ) -> dict[str, Any]:
-    """What every kind of `Replay` takes of a trial; ``settings`` has the slices ``plant`` and ``robot``."""
+    """Return the arguments of a trial for any `Replay`; ``settings`` has the slices ``plant`` and ``robot``."""
     return {
         "robot": robot,
         "robot_settings": settings["robot"],

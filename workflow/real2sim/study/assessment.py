@@ -48,7 +48,7 @@ def with_pelvis_noise(
 
 
 class InputNoise:
-    """What noise of the replayed pelvis adds to the cost of a trial, simulated.
+    """Simulated contribution of noise of the replayed pelvis to the cost of a trial.
 
     Parameters
     ----------

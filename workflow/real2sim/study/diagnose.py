@@ -165,7 +165,7 @@ def _write_traces(path: Path | None, result: Diagnosis) -> None:
 def _about(
     subject: str, train: Path, held_out: Path, result: Diagnosis, *, the_other_way: bool
 ) -> dict[str, Any]:
-    """What diagnosis.json says of the recordings."""
+    """Return the entries of diagnosis.json about the recordings."""
     pair = result.found.pair
     by_folder = ((train, pair.train), (held_out, pair.held_out))
     recorded = {folder.name: e.recorded for folder, e in by_folder if isinstance(e, StrapEvidence)}

@@ -53,7 +53,7 @@ _PACKAGES = ["mujoco", "numpy", "scipy"]
 
 @dataclass(frozen=True)
 class Search:
-    """What a refinement starts from and may change.
+    """Start of a refinement and the parameters that it may change.
 
     ``prior`` (12,) [SI]; ``bounds`` of the search, the interval's for what is refined inside it; ``free`` (k,) indices
     of what moves; ``use`` of each parameter by name.
@@ -336,7 +336,7 @@ class _Neutral:
 
 @dataclass(frozen=True)
 class _Person:
-    """What a refinement of one person rests on.
+    """Files and settings that a refinement of one person rests on.
 
     ``trials`` pose and marker tables of the dynamic trials by name; ``settings`` with the time step of the person.
     """

@@ -58,7 +58,7 @@ _START_STEP = 1e-3
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was measured in one trial.
+    """Measurements of one trial.
 
     ``robot`` (n, 6) is what `robot_motion` returns, None without a log; ``context`` goes to the effects; ``cost`` is J
     of the paper; ``coordinates`` (n, 6) of the interface [m, rad]; ``skin`` is what the pelvis' markers show of each
@@ -108,7 +108,7 @@ class Elsewheres:
 
 @dataclass(frozen=True)
 class PlantSetup:
-    """What a replay of the trial is built from: system, settings, joint limits, threads of a simulation."""
+    """Ingredients of a trial's replay: system, settings, joint limits, threads of a simulation."""
 
     system: System
     settings: Settings
@@ -118,7 +118,7 @@ class PlantSetup:
 
 @dataclass
 class ReplayCache:
-    """What replays of one trial have computed and later ones take from there; it changes no result.
+    """Cache of what replays of one trial have computed; it changes no result.
 
     ``bases`` of input chains; ``draws`` of noise as pelvis paths; ``commands`` of those paths at a time step;
     ``drives`` by time step; ``start_joints`` (6,) of the robot.
@@ -161,7 +161,7 @@ class StrapEvidence:
 
     @property
     def context(self) -> Context:
-        """What effects are computed from."""
+        """Measurements that effects are computed from."""
         return self.recorded.context
 
     @property
@@ -239,7 +239,7 @@ class StrapEvidence:
 
     @property
     def skin(self) -> Skin | None:
-        """What the pelvis' markers show of each other."""
+        """Model of the pelvis' markers by each other."""
         return self.recorded.skin
 
     @property
@@ -254,7 +254,7 @@ class StrapEvidence:
 
     @property
     def noise_source(self) -> str:
-        """Where the noise floor comes from, in words."""
+        """Source of the noise floor, in words."""
         return "marker noise of the trials, simulated through the plant"
 
     def floor_draws(self) -> np.ndarray:
@@ -273,7 +273,7 @@ class StrapEvidence:
         return strap_localise.axis_shares(self._gap(paths))
 
     def locate(self, paths: np.ndarray, explained: np.ndarray | None) -> dict[str, Any]:
-        """How J of simulated markers (n, 2, 3) [m] is spread over sides, terms, time, frequency and regime."""
+        """Split J of simulated markers (n, 2, 3) [m] by side, term, time, frequency and regime."""
         return strap_localise.where(self._gap(paths), explained)
 
     def _gap(self, paths: np.ndarray) -> strap_localise.Gap:
@@ -334,7 +334,7 @@ class StrapEvidence:
 
     @cached_property
     def _measured(self) -> np.ndarray:
-        """Where each channel counts, (n, c)."""
+        """Mask (n, c) of the samples that count, by channel."""
         known = np.isfinite(self.trial.interface.reshape(-1, 6))
         if self.robot is not None:
             known = np.hstack([known, np.isfinite(self.robot)])
@@ -382,7 +382,7 @@ class StrapEvidence:
 
     @property
     def _floor(self) -> np.ndarray:
-        """What each channel is never trusted beyond, (c,)."""
+        """Lower limits (c,) of each channel's noise."""
         return self.levels.noise_model.bands.floor[: self.channels]
 
     def noise_through(
@@ -457,13 +457,13 @@ class StrapEvidence:
         return out
 
     def _misjudged(self, markers: np.ndarray) -> np.ndarray:
-        """How far noise (draws, n, 2, 3) [m] of the markers moves and turns the start pose: (draws, 6) [m, rad]."""
+        """Return the errors (draws, 6) [m, rad] of the start pose by noise (draws, n, 2, 3) [m] of the markers."""
         left, right = np.moveaxis(markers[:, : self.context.start].mean(axis=1), 1, 0)
         bar = np.diff(np.nanmean(self.trial.interface[: self.context.start], axis=0)[::-1], axis=0)[0]
         return np.hstack([(left + right) / 2, np.cross(bar, left - right) / (bar @ bar)])
 
     def _elsewhere(self, parameters: np.ndarray) -> Elsewheres:
-        """What a strap that rests, a robot that starts and a controller that holds elsewhere do to the residuals.
+        """Simulate residuals of a strap that rests, a robot that starts and a controller that holds elsewhere.
 
         (6, n, c) for a rest pose one SD off (`rest_uncertainty`), by axis; per metre and radian of a start pose; and
         for a hold one SD off (`hold_uncertainty`), by robot joint, none for a robot that is let go.
@@ -487,7 +487,7 @@ class StrapEvidence:
         return Elsewheres(moved[:6], moved[6:12] / _START_STEP, moved[12:])
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        """What noise of the replayed pelvis does to the residuals (draws, n, c), as a function of parameters (12,)."""
+        """Return residuals (draws, n, c) by noise of the replayed pelvis, as a function of parameters (12,)."""
         replay = self.replay([], draws + 1)
         self._shake(replay, draws, seed)
         return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))

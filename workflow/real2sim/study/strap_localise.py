@@ -101,7 +101,7 @@ def where(gap: Gap, explained: np.ndarray | None = None) -> dict[str, Any]:
 
 
 def _change(gap: Gap, difference: np.ndarray) -> np.ndarray:
-    """What J would be of a difference (n, 2, 3) [m] of paths alone, per sample."""
+    """Return J, per sample, of a difference (n, 2, 3) [m] of paths alone."""
     known = np.isfinite(gap.measured)
     position, velocity = _energy(gap.cost, np.where(known, difference, 0.0))
     return np.asarray((position + velocity).sum(axis=(1, 2)))

@@ -92,7 +92,7 @@ def _read(
     noise: NoiseModel,
     log_sd: np.ndarray,
 ) -> tuple[Recorded, np.ndarray, np.ndarray]:
-    """What was measured, rates (n, 6) of the interface, and the uncertainty (6, 6) of the start pose by the log."""
+    """Read the measurements, rates (n, 6) of the interface, and the uncertainty (6, 6) of the start pose by the log."""
     ident, rate = settings["identification"], settings["ingest"]["rate_hz"]
     trial = load_trial(
         folder / "pose.parquet",
@@ -134,7 +134,7 @@ def _context(
     coordinates: np.ndarray,
     rates: np.ndarray,
 ) -> Context:
-    """What effects are computed from; ``start`` samples while the person stands."""
+    """Return the measurements that effects are computed from; ``start`` samples while the person stands."""
     twin = load_robot(robot).compile()
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
     return Context(
@@ -161,6 +161,6 @@ def _large(values: np.ndarray) -> np.ndarray:
 
 
 def _rest_shape(trial: Trial) -> np.ndarray:
-    """Where the interface's markers are to the pelvis at rest, (2, 3) [m]."""
+    """Return the interface's markers in the pelvis frame at rest, (2, 3) [m]."""
     half = float(np.nanmean(np.linalg.norm(trial.interface[:, 0] - trial.interface[:, 1], axis=1))) / 2
     return markers_of(trial.rest.rotation, trial.rest.position, half)

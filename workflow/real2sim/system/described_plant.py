@@ -20,7 +20,7 @@ LETTERS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class Anchor:
-    """Where the segment hangs: ``middle`` (3,) [m] of the interface's markers in its body, and the rest pose there."""
+    """Anchor of the segment: ``middle`` (3,) [m] of the interface's markers in its body, and the rest pose there."""
 
     middle: np.ndarray
     rest: RestPose

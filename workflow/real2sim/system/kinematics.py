@@ -53,7 +53,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sample:
-    """What was measured at one instant: pose of the segment, interface markers (k, 3) [m], logged joints.
+    """Measurements of one instant: pose of the segment, interface markers (k, 3) [m], logged joints.
 
     ``logged`` maps joints to positions [m, rad]; poses and markers are None for a system without a segment.
     """

@@ -289,7 +289,7 @@ def servo_command(drive: PelvisDrive) -> np.ndarray:
 
 
 def replay_check(replay: Replay, pelvis: np.ndarray) -> dict[str, float]:
-    """How far the simulated pelvis (nstep, 3) [m] is from its path, in space and in time.
+    """Return the distance of the simulated pelvis (nstep, 3) [m] from its path, in space and in time.
 
     Returns ``rms_m``, ``max_m`` and ``lag_s``: the shift of time that explains most of the error (least squares
     of the error on the velocity; positive if the simulation is late).

@@ -80,7 +80,7 @@ def _without(settings: Settings, names: list[str]) -> Settings:
 
 
 def _key(folder: Path, robot: Path, settings: Settings) -> str:
-    """What an answer rests on: recordings, robot, settings and code."""
+    """Return a key of what an answer rests on: recordings, robot, settings and code."""
     files = [robot, *sorted(path for path in folder.iterdir() if path.is_file())]
     parts = [fingerprint(__name__), json.dumps(settings, sort_keys=True)]
     return hashlib.sha256("\n".join([*parts, *map(sha256, files)]).encode()).hexdigest()

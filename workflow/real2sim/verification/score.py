@@ -357,7 +357,7 @@ def _value(entry: Any) -> float:
 
 
 def _held(row: Row) -> list[bool]:
-    """Whether the interval of each parameter that the answer calls determined holds the truth."""
+    """Return whether the interval of each parameter that the answer calls determined holds the truth."""
     truth = row["case"].get("parameters") or {}
     known = row["answer"]["parameters"]
     return [
@@ -503,7 +503,7 @@ def _baseline(name: str) -> Callable[[Row], str]:
 
 
 def _baselines(rows: list[Row], by: dict[str, list[Row]]) -> list[Row]:
-    """What simpler rules say of the same fits, which are stored with every answer, beside the diagnosis itself."""
+    """Score simpler rules on the same fits, which are stored with every answer, beside the diagnosis itself."""
     names = sorted({name for r in rows for name in r["answer"].get("baselines", {})})
     rules: dict[str, Callable[[Row], str]] = {
         "this diagnosis": lambda r: r["answer"]["verdict"],

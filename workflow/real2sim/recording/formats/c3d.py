@@ -33,7 +33,7 @@ _Groups = dict[str, dict[str, tuple[int, tuple[int, ...], bytes]]]  # group, nam
 
 
 def is_c3d(raw: bytes) -> bool:
-    """Whether a file starts as a C3D does: the block of the parameters, then 0x50."""
+    """Return whether a file starts as a C3D does: the block of the parameters, then 0x50."""
     return len(raw) > 1 and raw[1] == 0x50 and 2 <= raw[0] < 64
 
 

@@ -51,7 +51,7 @@ class Channel:
 
 @dataclass
 class Contents:
-    """What a file says of itself, complete once all messages were read."""
+    """Description of a file by itself, complete once all messages were read."""
 
     profile: str = ""
     library: str = ""
@@ -73,7 +73,7 @@ class RawMessage:
 
 
 def is_mcap(raw: bytes) -> bool:
-    """Whether a file starts as an MCAP does."""
+    """Return whether a file starts as an MCAP does."""
     return raw.startswith(MAGIC[:5])
 
 

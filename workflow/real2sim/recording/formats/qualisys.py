@@ -110,7 +110,7 @@ def read_markers(path: Path) -> MarkerRecording:
 
 
 def data_included(path: Path) -> str:
-    """What a QTM TSV holds by its own header: ``3D``, ``6D``, ``Force``, ...; 3D where nothing is said."""
+    """Return the content of a QTM TSV by its own header: ``3D``, ``6D``, ``Force``, ...; 3D where nothing is said."""
     lines = read_lines(Path(path), "a QTM TSV export", _EXPORT_3D)
     for line in lines[:200]:
         cells = line.split("\t")
@@ -248,7 +248,7 @@ def _column_row(path: Path, lines: Lines, at: int, markers: list[str]) -> tuple[
 
 
 def _unnamed_leading(lines: Lines, rows: np.ndarray, width: int) -> list[str]:
-    """Whether Frame and Time are there, by the number of cells: without a row of names nothing else tells."""
+    """Return whether Frame and Time are there, by the number of cells: without a row of names nothing else tells."""
     values, times = np.unique(lines.tabs(rows) + 1, return_counts=True)
     more = int(values[np.argmax(times)]) - width
     ends_blank = all(not lines[i].rsplit("\t", 1)[-1].strip() for i in rows)

@@ -28,7 +28,7 @@ _MISSING, _MEASURED = 0, 1
 
 
 def is_mat(raw: bytes) -> bool:
-    """Whether a file is a MATLAB 5 file, or the HDF5 file that MATLAB 7.3 writes."""
+    """Return whether a file is a MATLAB 5 file, or the HDF5 file that MATLAB 7.3 writes."""
     return raw[126:128] in (b"IM", b"MI") or raw.startswith(_HDF5) or raw[512:520] == _HDF5
 
 

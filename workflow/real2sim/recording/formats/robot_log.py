@@ -113,7 +113,7 @@ def _schema_text(type_name: str) -> str:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the fields of one message lie: offset and number of items, and what of it is structure."""
+    """Layout of one message: offset and number of items of its fields, and its structure."""
 
     items: dict[str, tuple[int, int]]
     strings: dict[str, list[str]]
@@ -702,7 +702,7 @@ def _member(message: Any, name: str, default: Any = _REQUIRED) -> Any:
 
 
 def _is_part(member: Any) -> bool:
-    """Whether a protobuf field is one message."""
+    """Return whether a protobuf field is one message."""
     repeated = member.is_repeated if hasattr(member, "is_repeated") else member.label == member.LABEL_REPEATED
     return member.message_type is not None and not repeated
 

@@ -54,7 +54,7 @@ _ANGULAR = ("rx", "ry", "rz")
 
 @dataclass
 class Session:
-    """What a person's trials say together: drifts of the clocks, where the other systems' ground lies."""
+    """Facts from all trials of a person: drifts of the clocks, ground of the other systems."""
 
     robot_drift: clocks.Pooled | None
     markerless_drift: clocks.Pooled | None
@@ -483,7 +483,7 @@ def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) 
 
 
 def reversals(values: np.ndarray, band: float) -> int:
-    """How often a signal turns round by more than ``band``."""
+    """Count the reversals of a signal by more than ``band``."""
     values = values[np.isfinite(values)]
     if not len(values):
         return 0

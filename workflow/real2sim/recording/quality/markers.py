@@ -136,7 +136,7 @@ def _spread(points: np.ndarray, reference: np.ndarray, sure: np.ndarray, a: int,
 
 
 def _jumps(points: np.ndarray, a: int, b: int, run: slice) -> bool:
-    """Whether two labels (of (n, 6, 3)) go on smoothly at both ends of a span only if they are exchanged there.
+    """Return whether two labels (of (n, 6, 3)) go on smoothly at both ends of a span only if they are exchanged there.
 
     An end at which a marker is missing, or that is the record's, says nothing.
     """
@@ -152,7 +152,7 @@ def _jumps(points: np.ndarray, a: int, b: int, run: slice) -> bool:
 
 
 def skin(departure: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """What sliding skin explains (n, 7) [m] of the departures of the rigid distances (n, 7) [m].
+    """Return the part (n, 7) [m] of the departures of the rigid distances (n, 7) [m] that sliding skin explains.
 
     The part that is linear in the rotation (n, 3, 3) of the pelvis from where the trial begins, by robust regression
     (Huber's weights), so that frames with a fault do not decide it; a constant, as of a marker that was moved, is not

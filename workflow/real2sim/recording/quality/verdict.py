@@ -74,7 +74,7 @@ def sized_gate(
 
 
 def require(gates: Sequence[Path], trial: str) -> dict[str, list[str]]:
-    """What a fit may rest on: the gates that refuse its trials but are overridden in the configuration, by trial.
+    """Return the gates that refuse a fit's trials but are overridden in the configuration, by trial.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def _holm(p_values: np.ndarray) -> np.ndarray:
 
 
 def _refusal(log_x: np.ndarray, predictors: list[str], needed: int) -> str:
-    """Why nothing can be regressed on these people; empty if it can."""
+    """Return the reason why nothing can be regressed on these people; empty if it can."""
     if len(log_x) < needed:
         of = f"{len(predictors)} predictor" + ("s" if len(predictors) > 1 else "")
         return f"{needs_people(needed, len(log_x))}: {of}"

@@ -48,7 +48,7 @@ def _percent(share: float) -> str:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of one parameter.
+    """Evidence about one parameter.
 
     ``paper``, ``exact`` and ``nested`` are its class by the cluster bootstrap over fits (the paper's), the exact F
     interval over fits and the exact F interval over trials: common, distinct or uncertain. ``shares`` is the share of
@@ -67,12 +67,12 @@ class Evidence:
 
     @property
     def common(self) -> bool:
-        """Whether any of the intervals says common."""
+        """Return whether any of the intervals says common."""
         return "common" in (self.paper, self.exact, self.nested)
 
     @property
     def loose(self) -> bool:
-        """Whether restarts of one trial scatter more than trials, and more than can be ignored."""
+        """Return whether restarts of one trial scatter more than trials, and more than can be ignored."""
         _, trial, restart = self.sd
         return restart > LOOSE_SD_LN and not restart <= trial
 

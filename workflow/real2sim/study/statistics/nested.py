@@ -266,7 +266,7 @@ def _of_trials(values: np.ndarray, owner: np.ndarray, rounding: float) -> tuple[
 
 
 def effective_fits(found: Components, person: np.ndarray, trial: np.ndarray) -> float:
-    """How many independent fits have as much to say about their person's value as all fits together.
+    """Return the number of independent fits that say as much about their person's value as all fits together.
 
     A person's n fits on m trials with R restarts each count n / (1 + (R - 1) c) times, c = trial / (trial + restart):
     m where restarts only repeat each other, n where trials do not differ. Summed over people; R is the mean there.
@@ -307,7 +307,7 @@ def fit_columns() -> tuple[str, ...]:
 
 
 def _missing(rows: list[dict[str, str]], minimum: int) -> str:
-    """Why there can be no nested model; empty if there can."""
+    """Return the reason why there can be no nested model; empty if there can."""
     people = {row["subject"] for row in rows}
     if len(people) < minimum:
         return needs_people(minimum, len(people))

@@ -104,7 +104,7 @@ def empirical_spread(values: np.ndarray, confidence: float) -> tuple[np.ndarray,
 def prediction_interval(
     values: np.ndarray, subjects: Sequence[str], confidence: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the next person's parameter is expected, (n, p) -> two (p,): Student's prediction interval in ln.
+    """Return Student's prediction interval in ln of the next person's parameters, (n, p) -> two (p,).
 
     People are the repeats, each by the mean of ln over their fits: geometric mean times exp(±t SD sqrt(1 + 1/N)).
     Unlike the spread of the fits it grows as people get fewer. NaN with fewer than two people.
@@ -229,7 +229,7 @@ def _icc_rows(fits: list[dict[str, Any]], settings: StatisticsSettings) -> list[
 
 
 def _missing(fits: list[dict[str, Any]], minimum: int) -> str:
-    """Why there can be no ICC; empty if there can."""
+    """Return the reason why there can be no ICC; empty if there can."""
     subjects = {fit["subject"] for fit in fits}
     if len(subjects) < minimum:
         return needs_people(minimum, len(subjects))

@@ -563,7 +563,7 @@ class _Problem:
         return np.asarray(s["data"] * np.concatenate(out))
 
     def _pressure(self, points: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-        """How far the centre of pressure leaves the feet that stand (PHASES, 2), in scales."""
+        """Return the distance (PHASES, 2) of the centre of pressure outside the standing feet, in scales."""
         half = PHASES // 2
         s, phase = self.settings, self.coefficients.phase
         right_y = points[:, 1, 1]

@@ -134,7 +134,7 @@ FREE_DOFS = 27
 
 @dataclass(frozen=True)
 class Body:
-    """Who is modelled: height [m], mass [kg], sex (``male`` or ``female``)."""
+    """Person who is modelled: height [m], mass [kg], sex (``male`` or ``female``)."""
 
     height_m: float
     mass_kg: float
@@ -431,7 +431,7 @@ def qpos_of(coordinates: dict[str, float], who: Body) -> np.ndarray:
 
 
 def body_of(person: Path) -> tuple[Body, bool]:
-    """Who a subject.yaml describes, and whether they are the phantom's."""
+    """Return the person of a subject.yaml, and whether they are the phantom's."""
     facts = read_yaml(person)
     who = Body(float(facts["height_m"]), float(facts["mass_kg"]), str(facts["sex"]))
     return who, bool(facts.get("phantom", False))

@@ -23,13 +23,13 @@ def stream(settings: dict[str, Any], *names: str) -> np.random.Generator:
 
 
 def active(settings: dict[str, Any], group: str, name: str) -> bool:
-    """Whether an item of ``effects`` or ``measurement`` is switched on."""
+    """Return whether an item of ``effects`` or ``measurement`` is switched on."""
     return bool(settings[group]["enabled"] and settings[group][name]["enabled"])
 
 
 @dataclass
 class Person:
-    """What is true of a person [SI].
+    """True values of a person [SI].
 
     ``parameters`` k_tx … d_rz; ``rest_rotation`` (3, 3) and ``rest_position`` (3,) of the interface in the
     pelvis; ``stops`` maps a level [cm] to (lower (6,), upper (6,)); ``markers`` (3,) in pelvis axes;

@@ -178,7 +178,7 @@ class TruePaths:
 
 @dataclass
 class Step:
-    """What an effect on the robot's side may see at one step, one row per trial.
+    """Quantities at one step that an effect on the robot's side may use, one row per trial.
 
     ``time_s``; ``joints``, ``rates`` (n, 6) in the order BASE_JOINTS + ARM_JOINTS; ``force``, ``torque``
     (n, 3) of the strap on the interface midpoint in world axes; all SI.

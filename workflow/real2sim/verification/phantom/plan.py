@@ -27,7 +27,7 @@ def trial_names(settings: dict[str, Any], subject: str) -> list[str]:
 
 
 def has_log(trial: str) -> bool:
-    """Whether the robot takes part in a trial."""
+    """Return whether the robot takes part in a trial."""
     return not trial.startswith("walk_normal")
 
 

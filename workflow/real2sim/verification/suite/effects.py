@@ -31,7 +31,7 @@ _STICK_RAD_S = 150.0
 
 @dataclass(frozen=True)
 class Context:
-    """What a draw may know of the person and of the trials without the effect, per axis (6,) [SI].
+    """Facts of the person and of the trials without the effect that a draw may use, per axis (6,) [SI].
 
     ``lower``, ``upper`` are the extremes of q in the training trial, ``reach`` and ``speed`` the largest
     absolute values of q and its rate; ``mobility`` is the inertia that the strap feels along each axis,

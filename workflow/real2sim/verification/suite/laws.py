@@ -29,7 +29,7 @@ class Term:
         """Set up the state."""
 
     def travel(self, q: np.ndarray) -> np.ndarray:
-        """What q (rows, 6) has moved by since the last step: states are those of now, not of the next step."""
+        """Return the travel of q (rows, 6) since the last step: states are those of now, not of the next step."""
         out = np.zeros_like(q) if self.last is None else q - self.last
         self.last = q
         return out

@@ -38,7 +38,7 @@ class Recording:
 
     @property
     def dynamic(self) -> bool:
-        """Whether this is one of the dynamic trials."""
+        """Return whether this is one of the dynamic trials."""
         return self.name != "neutral"
 
 

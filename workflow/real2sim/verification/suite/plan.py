@@ -128,7 +128,7 @@ def case_names(suite: dict[str, Any], shard: int) -> list[str]:
 
 
 def expected_time(suite: dict[str, Any], results: Path, cores: int) -> str:
-    """How long a suite will take, in one line: from the answers that any suite has given on this machine.
+    """Return the expected time of a suite in one line, from the answers of any suite on this machine.
 
     ``results`` is results/suite. Cases that have been answered already cost nothing more.
     """

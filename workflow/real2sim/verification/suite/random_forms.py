@@ -629,7 +629,7 @@ class _Displacement(RandomForm):
         return TrueLaw(self.stage, (), self.kinds, ((variable,),), kin=self.kin)
 
     def applies(self, recording: Recording, values: Values) -> bool:
-        """Whether the trial shows the law: what follows time alone begins with a dynamic trial."""
+        """Return whether the trial shows the law: what follows time alone begins with a dynamic trial."""
         return recording.dynamic or values["of"] != "time"
 
 

@@ -41,7 +41,7 @@ class Refit:
     upper: np.ndarray
 
     def step(self, tangent: np.ndarray, misfit: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Where the ln parameters (12,) go from ``moved`` to make good a misfit on the training trial."""
+        """Return the ln parameters (12,) to which a misfit on the training trial moves them from ``moved``."""
         # independent values: two markers, three axes, twice the band-width
         count = 2 * 3 * 2 * _BANDWIDTH_HZ * self.duration_s
         ridge = self.floor_train / count / _PRIOR_SD_LN**2
@@ -71,7 +71,7 @@ class Fit:
 
     @property
     def usable(self) -> bool:
-        """Whether the trials could be simulated at all."""
+        """Return whether the trials could be simulated at all."""
         return bool(np.isfinite(self.train).all() and np.isfinite(self.held_out).all())
 
     def start(self, moved: np.ndarray, train: np.ndarray, held_out: np.ndarray, tangent: np.ndarray) -> None:

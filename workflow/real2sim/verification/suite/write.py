@@ -181,7 +181,7 @@ def write_with_further(
 
 @dataclass
 class _World:
-    """What all cases share: configuration, and the robot with a coarse and a fine time step."""
+    """Configuration, and the robot with a coarse and a fine time step, that all cases share."""
 
     suite: dict[str, Any]
     settings: dict[str, Any]
@@ -384,7 +384,7 @@ def _noise(p: _Synthetic, rng: np.random.Generator, shape: tuple[int, ...]) -> n
 
 
 def _room(world: _World, person: Person) -> tuple[np.ndarray, np.ndarray]:
-    """How far the ln parameters are from the search bounds, down and up."""
+    """Return the distances of the ln parameters from the search bounds, down and up."""
     rows = [world.suite["parameters"]["values"][name] for name in PARAMETER_NAMES]
     true = np.log(np.concatenate([person.stiffness, person.damping]))
     return np.log([r["low"] for r in rows]) - true, np.log([r["high"] for r in rows]) - true
@@ -545,7 +545,7 @@ def _gaps(
 
 
 def _fits(world: _World, people: list[_Synthetic], recorded: _Recorded, models: _Setups) -> list[Fit]:
-    """What an analysis with the true parameters would be left with."""
+    """Return the residuals of an analysis with the true parameters."""
     replayed = dict(
         zip(
             models,
@@ -821,7 +821,7 @@ def _cause_truth(p: _Synthetic, cause: _Cause) -> dict[str, Any]:
 
 
 def _law_truth(p: _Synthetic, cause: _Cause, dynamic: list[TruePaths]) -> dict[str, Any]:
-    """Where the law acts, on what it depends and its curves, in the strata whose free-form answers are scored."""
+    """Return place, variables and curves of the law, in the strata whose free-form answers are scored."""
     if p.case.stratum not in ("left_out", "random_law"):
         return {}
     form = cause.form

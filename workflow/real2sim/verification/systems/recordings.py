@@ -29,7 +29,7 @@ class Size:
 
 @dataclass(frozen=True)
 class OutputChain:
-    """What happens to a measured signal between the machine and the table.
+    """Changes of a measured signal between the machine and the table.
 
     ``offset`` [s]: the signal is late; ``drift``: its clock shows (1 + drift) t at time t; ``cutoff`` [Hz]: it went
     through a causal first-order low-pass. 0 switches each of them off.

@@ -128,7 +128,7 @@ class Description:
 
 @dataclass
 class Motion:
-    """Where the tree is and how it moves at y (b, n) and its rate, and what that takes.
+    """Pose and motion of the tree at y (b, n) and its rate, and the forces that it takes.
 
     ``rotation`` (b, m, 3, 3) and ``origin`` (b, m, 3) [m] of the bodies; ``linear``, ``angular`` (b, 3, n): velocity of
     the origin, and angular velocity, of body `Tree.end` per joint rate; ``linear_bias``, ``angular_bias`` (b, 3): its

@@ -32,7 +32,7 @@ class SegmentPath:
 
 @dataclass(frozen=True)
 class Excitation:
-    """How a segment moves: peak ``amplitudes`` (6,) of displacement along and turn about x, y, z [m, rad], and pace.
+    """Motion of a segment: peak ``amplitudes`` (6,) of displacement along and turn about x, y, z [m, rad], and pace.
 
     Each coordinate is a sum of three sines at about ``base_hz`` and its ratios. ``sway`` of a standing person instead:
     whole cycles over the trial from standstill, whose mean is zero.

@@ -32,9 +32,9 @@ def withheld_check(records: Sequence[Mapping[str, Any]]) -> str:
     latest = sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
     parts = [
         paragraph(
-            "How often is such an answer right? The same code diagnosed people whose causes were withheld from it "
-            "until its answers were scored. None of them is a recording of a person: how often an answer about a "
-            "real person is right is not known."
+            "How often is such an answer right? The diagnosis, as of the commit that the table names, answered for "
+            "people whose causes were withheld from it until its answers were scored. None of them is a recording of "
+            "a person: how often an answer about a real person is right is not known."
         )
     ]
     for i, record in enumerate(latest):
@@ -58,7 +58,11 @@ def _table(record: Mapping[str, Any], claims: Sequence[Mapping[str, Any]], words
             _value(row),
             _interval(row),
             str(row["n"]),
-            escape(row["target"]),
+            escape(
+                row["target"]
+                .replace(">=", "\N{GREATER-THAN OR EQUAL TO}")
+                .replace("<=", "\N{LESS-THAN OR EQUAL TO}")
+            ),
             {True: "met", False: "missed", None: ""}[row["met"]],
         ]
         for row in claims

@@ -6,7 +6,8 @@ python docs/make_effects_reference.py [--check]
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -17,17 +18,21 @@ from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, are_confusable
 
 PAGE = ROOT / "docs" / "effects.md"
 IMAGES = ROOT / "docs" / "images" / "effects"
+WIDTH = 120
 TITLE = (
     "# Effects\n\n"
     "<!-- Made by docs/make_effects_reference.py from workflow/real2sim/effects: edit the entries there. -->\n\n"
-    "The causes of a gap between simulation and measurement that the diagnosis compares. Effects of one name are one\n"
-    "answer; their forms differ in the equation. An effect that is missing here can be\n"
+    "The causes of a gap between simulation and measurement that the diagnosis compares. An *effect* is a cause with\n"
+    "a name. Its *forms* are variants of it, each with an equation of its own, such as a strap that takes up load at\n"
+    "once or little by little. The diagnosis tries every form at every *place* (axis, side, pair of axes, joint or\n"
+    "the whole plant) and answers with the name. An effect that is missing here can be\n"
     "[added by a package of your own](how-to/effect.md).\n\n"
     "In the sections, `q` is a coordinate of the interface, `k` and `d` are its stiffness and damping, `y` the paths\n"
     "that the interface's markers show. A unit after a bar is that of a rotation. *Confused with* lists effects that\n"
     "can take its place in a fit; the *separating trial* is the recording that tells them apart. Each picture shows\n"
     "the channel that the effect changes most in a made-up motion (no person, no study): grey without the effect,\n"
-    "blue with it, at a size that shows, and below the difference.\n\n"
+    "blue with it, at a size that shows, and below the difference. Names of published laws (LuGre, Bouc-Wen,\n"
+    "Stribeck, Eyring) and of angles (Cardan) are explained in the [glossary](glossary.md).\n\n"
 )
 STAGES = {
     "input": "input: what the markers of the pelvis (the driven segment) show",
@@ -86,31 +91,61 @@ def _confusable(name: str) -> str:
     return ", ".join(f"[`{n}`](#{n})" for n in others) or "none"
 
 
-def _acts_on(effect: Effect) -> str:
+def _scope(effect: Effect) -> str:
     each = "the whole" if effect.scope == "whole" else f"each {effect.scope}"
-    needs = f"; needs of a system: {', '.join(sorted(effect.needs))}" if effect.needs else ""
-    return f"{STAGES[effect.stage]}; {each}{needs}"
+    needs = f", needs of a system: {', '.join(sorted(effect.needs))}" if effect.needs else ""
+    return f"{each}{needs}"
+
+
+def _acts_on(forms: list[Effect]) -> str:
+    if len({e.stage for e in forms}) == 1:
+        return f"{STAGES[forms[0].stage]}; {_of_forms(forms, _scope)}"
+    return _of_forms(forms, lambda e: f"{STAGES[e.stage]}; {_scope(e)}")
+
+
+def _of_forms(forms: Iterable[Effect], text: Callable[[Effect], str]) -> str:
+    """Return what a text says of forms: once where it is the same for all, else beside their names."""
+    by_text: dict[str, list[str]] = {}
+    for effect in forms:
+        by_text.setdefault(text(effect), []).append(_form(effect))
+    if len(by_text) == 1:
+        return next(iter(by_text))
+    return "; ".join(f"*{', '.join(names)}*: {said}" for said, names in by_text.items())
 
 
 def _distinct(texts: Iterable[str]) -> str:
     return "; ".join(dict.fromkeys(t for t in texts if t))
 
 
+def _item(text: str) -> str:
+    """An item of a list, wrapped as the other pages are."""
+    lines = textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent="- ",
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines) + "\n"
+
+
 def section(name: str, forms: list[Effect]) -> Iterator[str]:
     """Yield the lines of an effect's section."""
-    first = forms[0]
     yield f"## {name}\n\n{MEANING.get(name, '')}\n\n"
     if (IMAGES / f"{name}.png").exists():
         yield f"![{name}: with and without the effect](images/effects/{name}.png)\n\n"
     yield "| form | equation | parameters |\n|---|---|---|\n"
     for effect in forms:
         yield f"| {_form(effect)} | {_cell(effect.equation)} | {_cell(_parameters(effect.parameters))} |\n"
-    yield f"\n- Acts on: {_acts_on(first)}.\n"
-    yield f"- Confused with: {_confusable(name)}.\n"
-    yield f"- Separating trial: {_distinct(e.separating_trial for e in forms)}.\n"
-    yield f"- In an exported model: {_distinct(e.exported for e in forms)}.\n"
-    remedy = _distinct(e.remedy for e in forms[:1])
-    yield f"- What to do: {remedy}.\n\n" if remedy else "\n"
+    yield "\n" + _item(f"Acts on: {_acts_on(forms)}.")
+    yield _item(f"Confused with: {_confusable(name)}.")
+    yield _item(f"Separating trial: {_distinct(e.separating_trial for e in forms)}.")
+    yield _item(f"In an exported model: {_distinct(e.exported for e in forms)}.")
+    # the first remedy of each stage: those of further forms differ in their numbers
+    remedies = [e for e in {e.stage: e for e in reversed(forms)}.values() if e.remedy][::-1]
+    remedy = _of_forms(remedies, lambda e: e.remedy) if remedies else ""
+    yield _item(f"What to do: {remedy}.") + "\n" if remedy else "\n"
 
 
 def reference(effects: Iterable[Effect] = EFFECTS) -> str:
@@ -120,7 +155,8 @@ def reference(effects: Iterable[Effect] = EFFECTS) -> str:
         by_name.setdefault(effect.name, []).append(effect)
     overview = "| effect | stage | in plain words |\n|---|---|---|\n"
     for name, forms in by_name.items():
-        overview += f"| [`{name}`](#{name}) | {forms[0].stage} | {MEANING.get(name, '')} |\n"
+        stages = _distinct(e.stage for e in forms)
+        overview += f"| [`{name}`](#{name}) | {stages} | {MEANING.get(name, '')} |\n"
     sections = (line for name, forms in by_name.items() for line in section(name, forms))
     return TITLE + overview + "\n" + "".join(sections).rstrip() + "\n"
 

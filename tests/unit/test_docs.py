@@ -91,3 +91,17 @@ def test_no_registry_host_is_named():
         if path.is_file() and path.suffix not in (".png", ".pdf", ".gif"):
             text = path.read_text(encoding="utf-8", errors="ignore")
             assert not any(host in text for host in hosts), name
+
+
+def test_prose_is_wrapped():
+    """Lines of prose have at most 120 characters; tables, code and pictures may be longer."""
+    pages = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=True)
+    long = []
+    for page in pages.stdout.split():
+        fenced = False
+        for number, line in enumerate((ROOT / page).read_text(encoding="utf-8").splitlines(), 1):
+            fenced ^= line.startswith("```")
+            free = fenced or line.startswith(("|", "    ", "![", "<img"))
+            if not free and len(line) > 120:
+                long.append(f"{page}:{number}")
+    assert long == []

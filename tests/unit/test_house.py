@@ -77,11 +77,14 @@ def _functions() -> Iterator[tuple[str, int]]:
                 yield f"{name}.{node.name}", node.end_lineno - node.lineno + 1
 
 
-def _classes() -> Iterator[tuple[str, ast.ClassDef]]:
-    for name, tree in modules().items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                yield name, node
+@cache
+def _classes() -> list[tuple[str, ast.ClassDef]]:
+    return [
+        (name, node)
+        for name, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+    ]
 
 
 def test_no_function_is_longer_than_a_screen():
@@ -181,3 +184,86 @@ def test_no_docstring_opens_with_a_question():
         and said.split()[0].rstrip(",:") in QUESTIONS
     ]
     assert opened == []
+
+
+# A dimension: n, n_r, nq, 3k, 21, PHASES, or a sum or product of such; `...` for any number of them
+_ATOM = r"(?:\.\.\.|\d*[a-x]|n[a-z]|[a-z]_[a-z]|\d+|[A-Za-z_]{3,})"
+_DIMENSION = rf"{_ATOM}(?: [*+-] {_ATOM})*"
+SHAPE = re.compile(rf"\(({_DIMENSION}(?:, ?{_DIMENSION})*)(,?)\)")
+
+
+def _states_shape(docstring: str) -> bool:
+    """Return whether a docstring holds a shape; words in brackets, ``(mean, median)``, are none without a symbol."""
+    shapes = (
+        comma
+        or any(not re.fullmatch("[A-Za-z]?[a-z_]{2,}", dimension) for dimension in dimensions.split(", "))
+        for dimensions, comma in SHAPE.findall(docstring)
+        if comma or "," in dimensions or dimensions == "..."
+    )
+    return "any shape" in docstring or any(shapes)
+
+
+def _has_array(function: ast.FunctionDef) -> bool:
+    of = function.args
+    annotations = [
+        a.annotation for a in [*of.posonlyargs, *of.args, *of.kwonlyargs, of.vararg, of.kwarg] if a
+    ]
+    return any("ndarray" in ast.unparse(a) for a in [*annotations, function.returns] if a)
+
+
+def _methods(of: ast.ClassDef) -> Iterator[ast.FunctionDef]:
+    return (node for node in of.body if isinstance(node, ast.FunctionDef))
+
+
+def _bases(module: str, of: ast.ClassDef) -> Iterator[ast.ClassDef]:
+    """Yield the base classes, by name: of the own module, else of any; and theirs."""
+    for base in of.bases:
+        name = ast.unparse(base).split("[")[0].split(".")[-1]
+        named = [(m, c) for m, c in _classes() if c.name == name and c is not of]
+        for where, found in [pair for pair in named if pair[0] == module] or named:
+            yield found
+            yield from _bases(where, found)
+
+
+def _docstrings() -> Iterator[tuple[str, list[str]]]:
+    """Yield the public functions with arrays, each with its docstring and those of the methods that it overrides."""
+    for module, tree in modules().items():
+        of_module: list[tuple[ast.ClassDef | None, ast.FunctionDef]] = [
+            (None, node) for node in tree.body if isinstance(node, ast.FunctionDef)
+        ]
+        for name, found in _classes():
+            if name == module and not found.name.startswith("_"):
+                of_module += [(found, method) for method in _methods(found)]
+        for owner, function in of_module:
+            if function.name.startswith("_") or not _has_array(function):
+                continue
+            overridden = [
+                method
+                for base in (_bases(module, owner) if owner else ())
+                for method in _methods(base)
+                if method.name == function.name
+            ]
+            where = f"{module}.{owner.name}" if owner else module
+            yield f"{where}.{function.name}", [ast.get_docstring(f) or "" for f in [function, *overridden]]
+
+
+@pytest.mark.parametrize(
+    ("docstring", "stated"),
+    [
+        ("Return forces (m, n, 6) [N, Nm].", True),
+        ("Return times (n,) [s] of (3k, n + p) values.", True),
+        ("Take values (...) [m].", True),
+        ("Clip values of any shape.", True),
+        ("Return the gap (amplitude, speed) of (R0, p0).", False),
+        ("Return a quaternion (w, x, y, z), for one side (+1, -1).", False),
+    ],
+)
+def test_a_shape_is_told_from_other_brackets(docstring, stated):
+    assert _states_shape(docstring) == stated
+
+
+def test_public_functions_with_arrays_state_shapes():
+    """A method may leave the shapes to the docstring of the method that it overrides."""
+    found = dict(_docstrings())
+    assert len(found) > 500
+    assert [name for name, said in found.items() if not any(map(_states_shape, said))] == []

@@ -86,9 +86,9 @@ def bridged(values: np.ndarray) -> np.ndarray:
 def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> np.ndarray:
     """Filter by a zero-phase Butterworth low-pass, each contiguous stretch by itself.
 
-    ``order`` counts both passes (4: second order forward and backward). The design cutoff is raised so that
-    the double pass is at -3 dB at ``cutoff_hz`` (Winter, Biomechanics and Motor Control of Human Movement,
-    2.2.4.4), in the prewarped frequency so that it holds at any rate. A cutoff above the Nyquist frequency
+    ``values`` is (n,) or (n, k). ``order`` counts both passes (4: second order forward and backward). The design cutoff
+    is raised so that the double pass is at -3 dB at ``cutoff_hz`` (Winter, Biomechanics and Motor Control of Human
+    Movement, 2.2.4.4), in the prewarped frequency so that it holds at any rate. A cutoff above the Nyquist frequency
     filters nothing.
     """
     if order % 2 or order < 2:
@@ -109,7 +109,8 @@ def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) ->
 def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
     """Return the time derivative: five-point central differences, three-point at the ends of each stretch.
 
-    Exact for quadratics everywhere and for quartics inside; stretches of fewer than three samples give NaN.
+    ``values`` is (n,) or (n, k), the derivative too, in their unit per second. Exact for quadratics everywhere and for
+    quartics inside; stretches of fewer than three samples give NaN.
     """
     out = np.full(values.shape, np.nan)
     for run in segments(known(values)):
@@ -126,9 +127,9 @@ def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
 def resample(
     time_s: np.ndarray, values: np.ndarray, new_time_s: np.ndarray, max_gap_s: float = np.inf
 ) -> np.ndarray:
-    """Return values at new times by cubic splines through each contiguous stretch; NaN outside of them.
+    """Return values at new times (m,) [s] by cubic splines through each contiguous stretch; NaN outside of them.
 
-    Where two samples lie more than ``max_gap_s`` apart, a stretch ends.
+    ``values`` is (n,) or (n, k) at times (n,) [s]. Where two samples lie more than ``max_gap_s`` apart, a stretch ends.
     """
     if len(time_s) == len(new_time_s) and np.abs(time_s - new_time_s).max() < 1e-9:
         return values.copy()
@@ -168,7 +169,7 @@ def upsampled(values: np.ndarray, parts: int) -> np.ndarray:
 
 
 def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
-    """Return the times k / rate within [start, end]."""
+    """Return the times (n,) [s] k / rate within [start, end]."""
     first, last = int(np.ceil(start_s * rate_hz - 1e-6)), int(np.floor(end_s * rate_hz + 1e-6))
     return np.arange(first, last + 1) / rate_hz
 

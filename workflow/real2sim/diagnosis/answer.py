@@ -140,7 +140,7 @@ class Diagnosis:
         return self.fits.fitted
 
     def traces(self) -> dict[str, np.ndarray]:
-        """Return columns of the trial that shows the gap: time [s]; measured, plain and with effect."""
+        """Return columns (n,) of the trial that shows the gap: time [s]; measured, plain and with effect."""
         pair = self.found.pair
         plain, best = (simulate(pair.shown, pair, h) for h in (self.found.attribution.plain, self.fitted))
         return pair.shown.traces(plain, best)

@@ -157,7 +157,7 @@ def logits(
     samples: tuple[int, ...],
     c: DiagnosisCalibrationSettings,
 ) -> np.ndarray:
-    """Log-odds against none of the candidates, then of none (0) and unknown.
+    """Return log-odds (k + 2,) against none: of the k candidates, then of none (0) and unknown.
 
     First a cause competes with none, by what the best set gains, or what one that is not listed would if it left only
     noise. What a cause has is shared out between the listed sets, by their evidence, and `unknown`, by what they leave.

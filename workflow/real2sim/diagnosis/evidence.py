@@ -144,7 +144,7 @@ class Evidence(Protocol):
         """
 
     def traces(self, plain: np.ndarray, with_effect: np.ndarray) -> dict[str, np.ndarray]:
-        """Return columns of a table: time, and observations measured, plain and with effect."""
+        """Return columns (n,) of a table: time [s], and observations (n, ...) measured, plain and with effect."""
 
     def as_held_out(self) -> Self:
         """Return the same trial as the one that is not fitted."""
@@ -162,4 +162,4 @@ class Evidence(Protocol):
         """Return the same trial, whitened by noise simulated at parameters (p,)."""
 
     def with_spikes(self, paths: np.ndarray) -> Self:
-        """Return evidence that marks where observations jump out of simulated paths; self where none is new."""
+        """Return evidence that marks jumps of observations out of simulated ones (n, ...); self where none is new."""

@@ -130,7 +130,7 @@ def least_family(
     """Return what is said of a family: the simpler kind that it holds where that carries ``enough`` of it, 95 %.
 
     A potential of two coordinates may be two springs, and a damping by the coordinate one by the rate alone. Counted is
-    what stiffness and damping of the axes cannot do.
+    what stiffness and damping of the axes cannot do. ``coefficients`` (p,) are the family's.
     """
     about = named_family(family)
     if not isinstance(family, Family) or family.kind not in _SIMPLER:

@@ -92,7 +92,7 @@ class Equations:
         return float(self._square + 2 * b @ z + z @ a @ z)
 
     def best_scale(self, family: Products, weights: np.ndarray) -> tuple[float, float]:
-        """Return the prior scale of the largest evidence, and the gain in ln evidence over the base alone."""
+        """Return the prior scale of the largest evidence at weights (p,), and its gain in ln evidence on the base."""
         spread = _Spread(self._a, self._b, family, weights)
         occam = np.log1p(SCALES[:, None] ** 2 * spread.shares).sum(axis=1)
         gains = 0.5 * (self._alone - self._left_at(family, weights, spread) - occam)

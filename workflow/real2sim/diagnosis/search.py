@@ -113,7 +113,8 @@ class Search:
     ) -> Hypothesis:
         """Refit on the training trial and evaluate on the held-out one; ``final`` goes on until it has converged.
 
-        ``tangent``, where one was taken near the start, spares the first Jacobian as far as it predicts the start.
+        ``start`` (n + p,) holds searched numbers of the system's n parameters and the effects' p. ``tangent``, where
+        one was taken near the start, spares the first Jacobian as far as it predicts the start.
         """
         residuals = self._residuals(effects, coarse=not final)
         own = self._settings
@@ -200,7 +201,8 @@ class Search:
     def refit_fresh(self, effects: tuple[Placed, ...], base: np.ndarray, fitted: Hypothesis) -> Hypothesis:
         """Refit with the last effect from its best fresh start, where that alone is better than ``fitted``.
 
-        Of an effect that has no axis, already where it is better than the fit without the effect.
+        Of an effect that has no axis, already where it is better than the fit without the effect. ``base`` (n,) is as
+        in `fresh`.
         """
         z, cost = self.fresh(effects, base)
         limit = fitted.chi2[0]
@@ -215,11 +217,12 @@ class Search:
     def fresh(
         self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float] | None = None
     ) -> tuple[np.ndarray, float]:
-        """Best start of the last effect beside ``base`` by its cost alone, and that cost.
+        """Return the best start (n + p,) of the last effect beside ``base`` (n,) by its cost alone, and that cost.
 
         What a fit without the effect made of it stands in stiffness and damping of its axis, at their bounds for strong
         friction, and no tangent leads out of there. So these are tried from the middle of their range too. Constants of
-        a name in ``near`` are also tried at the searched number there.
+        a name in ``near`` are also tried at the searched number there. ``base`` holds the searched numbers of the
+        system and of the effects before the last one, which has p.
         """
         z = _fresh_starts(effects[-1], base, self.pair.system, self._settings["strengths"])
         if near:

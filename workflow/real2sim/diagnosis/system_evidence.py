@@ -429,7 +429,7 @@ class SystemEvidence:
         ]
 
     def traces(self, plain: np.ndarray, with_effect: np.ndarray) -> dict[str, np.ndarray]:
-        """Time [s] and observations, measured, plain and with effect."""
+        """Return columns (n,): time [s], and observations (n, c) measured, plain and with effect."""
         columns = {"time_s": self.measured.time_s}
         kinds = {"measured": self.measured.observed, "plain": plain, "with_effect": with_effect}
         for kind, values in kinds.items():

@@ -214,7 +214,7 @@ class Mechanism:
     def before_run(
         self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray
     ) -> None:
-        """Write what depends on other effects: called when all of them are set, before the first step."""
+        """Write what depends on other effects and on values (m, p) [SI]: called with all set, before the first step."""
 
     def logged(self, where: Where) -> dict[str, str]:
         """Return the joints that the log shows instead of joints of the machine, by name."""

@@ -24,7 +24,7 @@ class Reaction:
         self._felt = _LowPass(smoothing, before, step_s)
 
     def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
-        """Return the forces, see `Law`."""
+        """Return forces (m, w, 2) [N] for interface forces (m, w, 2) [N], see `Law`."""
         return np.asarray(self._gain[:, None, None] * self._felt(heard, keep=keep))
 
 
@@ -46,7 +46,7 @@ class Admittance:
         self._kept = _LowPass(values[:, 4], np.zeros_like(before), step_s)
 
     def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
-        """Return the forces, see `Law`."""
+        """Return forces (m, w, 2) [N] for interface forces (m, w, 2) [N], see `Law`."""
         felt = self._felt(heard, keep=keep)
         return np.asarray(
             self._gains * felt + self._rates * self._leak * self._kept(felt - self._before, keep=keep)
@@ -72,7 +72,7 @@ class HoldIntegral:
         self._state = np.zeros_like(before)
 
     def force(self, heard: np.ndarray, *, keep: bool) -> np.ndarray:
-        """Return the forces, see `Law`."""
+        """Return forces (m, w, 3) [N, Nm] for displacements (m, w, 3) [m, rad] of the base, see `Law`."""
         out, state = np.empty_like(heard), self._state
         for k in range(heard.shape[1]):
             step = self._change * heard[:, k]

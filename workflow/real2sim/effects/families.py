@@ -86,7 +86,7 @@ class Range:
         return max((self.high - self.low) / 2, 1e-9)
 
     def clip(self, values: np.ndarray) -> np.ndarray:
-        """Return values that stay at the edge of the range."""
+        """Return values of any shape, in the variable's own unit, with those beyond the range at its edge."""
         return np.asarray(np.clip(values, self.low, self.high))
 
 

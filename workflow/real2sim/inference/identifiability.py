@@ -272,8 +272,9 @@ def profile_end(
 ) -> float | None:
     """Return where J, refitted over the other parameters in ``free``, has risen by ``threshold`` on one side of a fit.
 
-    The first refit is where a parabola with this ``sd`` (ln-units) ends; from there outwards in growing steps until J
-    has risen. Returns the ln-value, or None if J has not risen at the bound.
+    ``z`` (12,) is the fit in ln-parameters, ``free`` (k,) indices. The first refit is where a parabola with this ``sd``
+    (ln-units) ends; from there outwards in growing steps until J has risen. Returns the ln-value, or None if J has not
+    risen at the bound.
     """
     others = np.setdiff1d(np.arange(12) if free is None else free, [index])
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
@@ -307,7 +308,10 @@ def profile_end(
 
 
 def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[FlatDirection]:
-    """Return the directions in ln-space along which the fit is free by more than ``sd``, small exponents left out."""
+    """Return the directions in ln-space along which the fit is free by more than ``sd``, small exponents left out.
+
+    ``covariance`` (12, 12) is that of the ln-parameters, ``free`` (k,) are the indices of those that were fitted.
+    """
     values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)])
     out: list[FlatDirection] = []
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):

@@ -57,7 +57,7 @@ class TimeFit:
     middle_s: float
 
     def other_time(self, time_s: np.ndarray) -> np.ndarray:
-        """Time on the other system's clock at Qualisys times."""
+        """Return times (n,) [s] on the other system's clock at Qualisys times (n,) [s]."""
         return time_s - self.offset_s - self.drift * (time_s - self.middle_s)
 
 

@@ -94,7 +94,7 @@ def drive_scales(
 
     A force along a joint whose position is an output is compared with what the motion asks for by a linear law
     (inertia, damping, stiffness, offset), learnt from the first recording. ``recordings`` maps a name to its rate [Hz]
-    and columns; ``most`` is the largest factor that a nonlinear system is believed to show.
+    and columns (n,); ``most`` is the largest factor that a nonlinear system is believed to show.
     """
     if system.drive.by != "force":
         return

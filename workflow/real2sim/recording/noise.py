@@ -156,7 +156,7 @@ class Bands:
         return min(samples, int(2 * duration_s * self.edges_hz[-1]))
 
     def band_of(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the index of the band of each frequency [Hz]; what is above the last edge belongs to the last band."""
+        """Return band indices (n,) of frequencies (n,) [Hz]; those above the last edge belong to the last band."""
         return np.searchsorted(self.edges_hz[1:-1], frequency, side="right")
 
     def white_variance(
@@ -456,9 +456,10 @@ def robot_noise(neutral: Path, trial: Path, bands: Bands) -> np.ndarray:
 
 
 def drawn_together(variance: np.ndarray, freedom: float) -> np.ndarray:
-    """Variances, each estimated with ``freedom`` degrees of freedom, drawn to their common mean (James & Stein 1961).
+    """Return variances, each estimated with ``freedom`` degrees of freedom, shrunk to their common mean.
 
-    In logarithms, whose sampling variance 2 / freedom is known. What the estimates scatter beyond it is real.
+    An array of any shape (James & Stein 1961). In logarithms, whose sampling variance 2 / freedom is known. What the
+    estimates scatter beyond it is real.
     """
     log = np.log(variance)
     chance = 2 / freedom

@@ -51,7 +51,8 @@ def smoothed_pelvis(
 
     Noise of the replayed pelvis shakes loose what friction holds: a law with memory sees another motion than the
     person made. Above the cut-off none of the six pelvis coordinates has ``rule.loud_power`` times the power of its
-    noise. The person stands still in the first ``start`` samples.
+    noise. The person stands still in the first ``start`` samples. ``sd`` (3,) [m] is the SD of each pelvis marker's
+    white noise.
     """
     position, vectors = signals.bridged(trial.pelvis_position), rotation_vectors(trial.pelvis_rotation)
     rigid = rigid_markers(trial)

@@ -13,7 +13,7 @@ from real2sim.errors import InputError
 
 
 def read_pose(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read columns ``time_s`` and ``q_*`` of a pose table, and what its metadata says of the trial.
+    """Read columns (n,) ``time_s`` [s] and ``q_*`` [m, rad] of a pose table, and its metadata of the trial.
 
     Raises InputError where interface coordinates are missing or wholly masked.
     """

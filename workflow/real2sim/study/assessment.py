@@ -99,8 +99,9 @@ def robot_sensitivity(
 ) -> dict[str, dict[str, float]]:
     """Return how far each parameter moves, in per cent, if an assumed constant of the robot is 10 % larger.
 
-    To first order: -(GᵀG)^-1 Gᵀ dr, with dr the central difference of the residuals over the constant. Constants are
-    the controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out.
+    ``parameters`` (12,) [SI], ``jacobian`` (n_r, 12) of residuals by ln-parameters, ``free`` (k,) indices. To first
+    order: -(GᵀG)^-1 Gᵀ dr, with dr the central difference of the residuals over the constant. Constants are the
+    controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out.
     """
     gain = np.linalg.pinv(jacobian[:, free], rcond=1e-8)
     controllers: Controllers = dict(cast(Controllers, settings["robot"]))

@@ -176,6 +176,7 @@ def would_gain(
 ) -> tuple[dict[str, dict[str, Any]], int]:
     """Return what J falls to if one more parameter is free inside ``bounds``, and whether noise would do as much.
 
+    ``residuals`` maps parameters (m, 12) [SI] to (m, n_r), ``sample`` (n_r,) is the sample index of each.
     ``settings`` is the slice ``identifiability``; ``lags`` the range of autocorrelation [samples]. The threshold is
     that of the 95 % profile (`identifiability`). Returns ``{parameter: J, gain, value, contradicts_prior}``, largest
     gain first, and the evaluations.
@@ -558,7 +559,7 @@ def beyond_ends(
 ) -> dict[str, Any] | None:
     """Return what J falls to where the search goes on from the ends of intervals it reached; None if it reached none.
 
-    ``how`` as in `refine_residuals`.
+    ``residuals`` maps parameters (m, 12) [SI] to (m, n_r); ``how`` as in `refine_residuals`.
     """
     names = [name for name, end in ends.items() if end.endswith(_NOT_HELD)]
     if not names:

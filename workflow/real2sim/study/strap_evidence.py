@@ -291,7 +291,7 @@ class StrapEvidence:
         )
 
     def traces(self, plain: np.ndarray, with_effect: np.ndarray) -> dict[str, np.ndarray]:
-        """Time [s] and interface markers [m, world], measured, plain and with effect."""
+        """Return columns (n,): time [s], and marker paths (n, 2, 3) [m, world] measured, plain and with effect."""
         columns = {"time_s": self.trial.time_s}
         paths = {"measured": self.trial.interface, "plain": plain, "with_effect": with_effect}
         for kind, path in paths.items():

@@ -98,7 +98,7 @@ def motions(evidence: StrapEvidence, axes: Sequence[str]) -> Iterator[Motion]:
 def imagined_trials(
     evidence: StrapEvidence, axes: Sequence[str], parameters: np.ndarray
 ) -> Iterator[tuple[str, StrapEvidence]]:
-    """Yield trials with motions along some axes, in words and as they would be measured (see `imagined`)."""
+    """Yield trials with motions along some axes, in words and as `imagined` of a strap with parameters (12,) [SI]."""
     for motion in motions(evidence, axes):
         yield motion.words, imagined(evidence, motion, parameters)
 

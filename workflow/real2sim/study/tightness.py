@@ -73,7 +73,8 @@ def normalised_tightness(
 ) -> np.ndarray:
     """Return the normalised tightness (paper eq. 2): 0 at the selected level, positive where the strap is tighter.
 
-    Holds for either sense of the scale: with remaining strap length, ``tightest`` is the smaller number.
+    For levels [cm] of any shape. Holds for either sense of the scale: with remaining strap length, ``tightest`` is the
+    smaller number.
     """
     return (np.asarray(level_cm, float) - selected) / ((tightest - loosest) / 2)
 

@@ -352,7 +352,7 @@ class System:
         return np.where(self._log, np.exp(np.where(self._log, z, 0.0)), z)
 
     def searched(self, values: np.ndarray) -> np.ndarray:
-        """Inverse of `values`."""
+        """Return the searched numbers (..., n) of parameters (..., n) [SI]: the inverse of `values`."""
         if self._log.all():
             return np.asarray(np.log(values))
         return np.where(self._log, np.log(np.where(self._log, values, 1.0)), values)

@@ -22,7 +22,7 @@ def stamp(time_ns: int) -> Message:
 
 
 def named(names: Sequence[str], values: Sequence[float] | np.ndarray) -> Message:
-    """Numbers by name, rounded; NaN and infinity become null."""
+    """Return numbers (n,) by name, rounded; NaN and infinity become null."""
     return {
         name: round(float(value), _DIGITS) if np.isfinite(value) else None
         for name, value in zip(names, values, strict=True)
@@ -30,17 +30,17 @@ def named(names: Sequence[str], values: Sequence[float] | np.ndarray) -> Message
 
 
 def xyz(vector: Sequence[float] | np.ndarray) -> Message:
-    """A vector by its three names."""
+    """Return a vector (3,) by its three names."""
     return named("xyz", vector)
 
 
 def pose(position: np.ndarray, quaternion: Sequence[float] | np.ndarray = _IDENTITY) -> Message:
-    """Position [m] and unit quaternion (w, x, y, z)."""
+    """Return a position (3,) [m] and a unit quaternion (4,), w first."""
     return {"position": xyz(position), "orientation": named("wxyz", quaternion)}
 
 
 def transform(time_ns: int, child: str, position: np.ndarray, quaternion: np.ndarray) -> Message:
-    """Pose of a frame in the world."""
+    """Return the pose of a frame in the world: position (3,) [m] and unit quaternion (4,), w first."""
     return {
         "timestamp": stamp(time_ns),
         "parent_frame_id": "world",
@@ -75,12 +75,12 @@ def update(*entities: Message) -> Message:
 
 
 def sphere(position: np.ndarray, diameter_m: float, colour: Sequence[float]) -> Message:
-    """A ball."""
+    """Return a ball about a position (3,) [m]."""
     return {"pose": pose(position), "size": xyz([diameter_m] * 3), "color": named("rgba", colour)}
 
 
 def arrow(start: np.ndarray, vector: np.ndarray, width_m: float, colour: Sequence[float]) -> Message:
-    """An arrow from a point along a vector [m]."""
+    """Return an arrow from a point (3,) along a vector (3,) [m]."""
     length = float(np.linalg.norm(vector))
     head = min(3 * width_m, length / 2)
     return {

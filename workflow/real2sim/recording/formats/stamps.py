@@ -56,7 +56,7 @@ def stamp_ns(seconds: np.ndarray, nanoseconds: np.ndarray) -> np.ndarray:
 def choose_times(
     path: Path, topics: list[StampedTopic], settings: IngestRobotLogStampsSettings, findings: list[Finding]
 ) -> tuple[dict[str, np.ndarray], dict[str, StampDelay]]:
-    """Return times [ns on the axis of log time] of all messages by topic, and the delays of the topics with stamps.
+    """Return times (n,) [ns, log time] of the messages by topic, and the delays of the topics with stamps.
 
     Stamps plus the offset of their clock where they are usable. One stamp that is far from the others is replaced by
     log time less the median delay. Topics whose stamps are missing, or do not keep pace with log time, keep log time.

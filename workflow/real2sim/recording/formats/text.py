@@ -53,7 +53,7 @@ class Lines(Sequence[str]):
         return self.raw[self.starts[index] : self.starts[index + 1] - 1].decode()
 
     def filled(self, first: int) -> np.ndarray:
-        """Return the numbers of the lines from ``first`` on that have more than blanks."""
+        """Return the indices (k,) of the lines from ``first`` on that have more than blanks."""
         rows = first + np.flatnonzero(np.diff(self.starts[first:]) > 1)
         starts = np.frombuffer(self.raw, np.uint8)[self.starts[rows]]
         doubtful = np.flatnonzero((starts <= _BLANK) | (starts > _ASCII))
@@ -62,7 +62,7 @@ class Lines(Sequence[str]):
         return np.asarray(rows[kept])
 
     def tabs(self, rows: np.ndarray) -> np.ndarray:
-        """Return how many tabs the lines ``rows`` have."""
+        """Return how many tabs (k,) the lines ``rows`` (k,) have."""
         raw, starts = self.raw, self.starts
         return np.fromiter(
             (raw.count(b"\t", starts[i], starts[i + 1] - 1) for i in rows), np.int32, len(rows)
@@ -278,7 +278,7 @@ def _body(lines: Sequence[str], rows: np.ndarray) -> bytes | memoryview:
 
 
 def increasing(path: Path, values: np.ndarray, name: str, rows: np.ndarray, column: int) -> None:
-    """Raise InputError unless a column increases row by row and starts with a number."""
+    """Raise InputError unless a column (n,) on lines ``rows`` (n,) increases row by row and starts with a number."""
     wrong = np.flatnonzero(~(np.diff(values) > 0))
     if not len(values) or (not len(wrong) and np.isfinite(values[0])):
         return

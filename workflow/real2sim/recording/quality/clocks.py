@@ -88,7 +88,10 @@ def pool(values: Iterable[float], errors: Iterable[float]) -> Pooled | None:
 
 
 def solve(jacobian: np.ndarray, residual: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares step and variances: the larger of the white and the clustered estimate, per parameter."""
+    """Return the least-squares step (p,) and its variances (p,), the larger of the white and the clustered estimate.
+
+    For a Jacobian (n, p), residuals (n,) and the index of the cluster (n,) that each belongs to.
+    """
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-30)
     design = jacobian / scale
     inverse = np.linalg.pinv(design.T @ design, rcond=1e-12, hermitian=True)

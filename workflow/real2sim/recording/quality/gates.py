@@ -483,7 +483,7 @@ def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) 
 
 
 def reversals(values: np.ndarray, band: float) -> int:
-    """Count the reversals of a signal by more than ``band``."""
+    """Count the reversals of a signal (n,) by more than ``band``, in its unit."""
     values = values[np.isfinite(values)]
     if not len(values):
         return 0
@@ -499,7 +499,7 @@ def reversals(values: np.ndarray, band: float) -> int:
 
 
 def bandwidth_hz(values: np.ndarray, rate_hz: float, share: float = 0.95) -> float:
-    """Frequency [Hz] below which ``share`` of the power of the motion lies."""
+    """Return the frequency [Hz] below which ``share`` of the power of a motion (n,) lies."""
     x = np.where(np.isfinite(values), values, np.nanmean(values))
     power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)))) ** 2
     total = np.cumsum(power)

@@ -92,9 +92,10 @@ def find_swaps(
 ) -> list[Swap]:
     """Spans over which exchanging exactly one pair of labels restores every rigid distance and orientation.
 
-    A frame is looked at where a distance departs by more than ``violation_m`` or a body is the wrong way round;
-    an exchange counts if it brings everything within ``restored_m``, and only if no other one does, and if the labels
-    jump where it begins and ends: skin that slides far moves distances too, but it does so without a jump.
+    ``positions`` (n, 3) [m] by marker, ``reference`` (7,) [m] as of `reference_distances`. A frame is looked at where a
+    distance departs by more than ``violation_m`` or a body is the wrong way round; an exchange counts if it brings
+    everything within ``restored_m``, and only if no other one does, and if the labels jump where it begins and ends:
+    skin that slides far moves distances too, but it does so without a jump.
     """
     points = stacked(positions)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -182,7 +183,7 @@ def skin(departure: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def repaired(positions: dict[str, np.ndarray], swaps: list[Swap]) -> dict[str, np.ndarray]:
-    """Positions with the labels exchanged back."""
+    """Return positions (n, 3) [m] by marker with the labels exchanged back."""
     out = {name: values.copy() for name, values in positions.items()}
     for swap in swaps:
         span = slice(swap.start, swap.stop)
@@ -194,7 +195,7 @@ def repaired(positions: dict[str, np.ndarray], swaps: list[Swap]) -> dict[str, n
 
 
 def find_gaps(positions: dict[str, np.ndarray]) -> list[Gap]:
-    """Every span over which one of the six markers is missing."""
+    """Return every span over which one of the six markers, positions (n, 3) [m] by name, is missing."""
     out = []
     for name in MARKERS:
         if name in positions:
@@ -215,7 +216,10 @@ def spikes(values: np.ndarray, height_m: float) -> np.ndarray:
 
 
 def noise_sd(values: np.ndarray) -> float:
-    """SD [m] per axis of a marker's white noise by second differences, which movement hardly enters; NaN if unknown."""
+    """Return the SD [m] per axis of the white noise of a marker's path (n, 3) [m], NaN if unknown.
+
+    By second differences, which movement hardly enters.
+    """
     second = np.diff(values, 2, axis=0)
     second = second[signals.known(second)]
     return float(np.sqrt(np.mean(second**2) / 6)) if len(second) else float("nan")

@@ -249,7 +249,7 @@ def find_exchanges(
 
     Only trials are compared whose residual is ``quality.exchanged.suspect`` times the person's smallest of that
     system, as each comparison takes as long as a measurement. Quiet standing cannot be told apart. ``lay`` takes the
-    place of `lay_file`, for who has laid the same files before.
+    place of `lay_file`, for who has laid the same files before. ``reference`` (7,) [m] as in `measure`.
     """
     limits = settings["exchanged"]
     moving = [name for name, m in measured.items() if m.kind != "neutral"]

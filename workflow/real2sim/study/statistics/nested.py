@@ -270,6 +270,7 @@ def effective_fits(found: Components, person: np.ndarray, trial: np.ndarray) -> 
 
     A person's n fits on m trials with R restarts each count n / (1 + (R - 1) c) times, c = trial / (trial + restart):
     m where restarts only repeat each other, n where trials do not differ. Summed over people; R is the mean there.
+    ``person`` and ``trial`` (n,) are labels of all fits.
     """
     within = found.trial + found.restart
     if not np.isfinite(within):

@@ -34,7 +34,7 @@ class PiecewiseFit:
     n: int
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """The fitted curve at x, with the mean intercept of the groups."""
+        """Return the fitted curve at x, an array of any shape, with the mean intercept of the groups."""
         d = np.asarray(x, float) - self.breakpoint
         return self.value_at_breakpoint + np.where(d < 0, self.slope_1, self.slope_2) * d
 
@@ -110,7 +110,7 @@ def _shuffled(size: int, labels: np.ndarray, rng: np.random.Generator) -> np.nda
 def breakpoint_p_value(
     x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None, *, permutations: int, seed: int
 ) -> float:
-    """Permutation p-value of sup-F against a straight line: is there a breakpoint at all?
+    """Return the permutation p-value of sup-F of a breakpoint against a straight line, for x, y and groups (n,).
 
     Residuals of the straight line are permuted within groups (Freedman & Lane 1983) and the largest reduction
     over the grid is compared: the search over breakpoints is part of the null distribution (Andrews 1993).
@@ -146,7 +146,8 @@ def breakpoint_interval(
 ) -> tuple[float, float]:
     """Percentile interval of the breakpoint by resampling the residuals of the two-segment fit.
 
-    Residuals are inflated by sqrt(n / (n - parameters)). Resolution: 1/400 of the range searched.
+    ``x``, ``y`` and ``groups`` (n,). Residuals are inflated by sqrt(n / (n - parameters)). Resolution: 1/400 of the
+    range searched.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     dummies, grid = _dummies(len(x), groups), _candidates(x)
@@ -183,7 +184,7 @@ def _within_products(
 def breakpoint_interval_by_group(
     x: np.ndarray, y: np.ndarray, groups: np.ndarray, *, bootstrap: int, seed: int, confidence: float
 ) -> tuple[float, float]:
-    """Percentile interval of the shared breakpoint when whole groups (persons) are resampled."""
+    """Return the percentile interval of the shared breakpoint of x, y (n,), resampling whole groups (n,), persons."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     dummies, grid = _dummies(len(x), groups), _candidates(x)
     k = dummies.shape[1]

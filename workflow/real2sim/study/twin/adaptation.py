@@ -41,7 +41,7 @@ def cycles_of(recording: Recording, settle_s: float) -> dict[str, np.ndarray]:
 
 
 def measured_cycles(walks: list[Walk]) -> dict[str, np.ndarray]:
-    """The same of measured walks."""
+    """Return the normalised strides (k, 101) [degrees] of each sagittal joint, both legs, of measured walks."""
     return {
         joint: np.concatenate(
             [
@@ -132,7 +132,10 @@ def measured_gait(walks: list[Walk]) -> dict[str, Any]:
 
 
 def describe(cycles: dict[str, np.ndarray], other: dict[str, np.ndarray] | None = None) -> dict[str, Any]:
-    """Mean curve and SD, range of motion and peak per cycle (mean, SD), and r with the mean of ``other``'s cycles."""
+    """Return curve, range of motion and peak of cycles (k, 101) [degrees] by joint, and r with the mean of ``other``'s.
+
+    Each as mean and SD over the cycles.
+    """
     out: dict[str, Any] = {}
     for joint, rows in cycles.items():
         if not len(rows):

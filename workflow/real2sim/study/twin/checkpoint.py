@@ -20,14 +20,14 @@ class UnusableCheckpoint(ValueError):
 
 
 def write_checkpoint(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
-    """Write named arrays as they are and ``about`` as JSON, in which numbers keep all their digits."""
+    """Write named arrays of any shape as they are and ``about`` as JSON, in which numbers keep all their digits."""
     text = np.frombuffer(json.dumps(about).encode(), np.uint8)
     with replacing(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **{**arrays, _NUMBERS: text})
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return arrays by name and ``about`` of a checkpoint.
+    """Return arrays of any shape by name and ``about`` of a checkpoint.
 
     Raises FileNotFoundError where there is none, and UnusableCheckpoint where the file is damaged or of another kind.
     """
@@ -48,7 +48,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def check_shapes(arrays: Mapping[str, np.ndarray], wanted: Mapping[str, np.ndarray]) -> None:
-    """Raise UnusableCheckpoint unless all arrays that are wanted are there, with their shapes and types."""
+    """Raise UnusableCheckpoint unless all wanted arrays, of any shape, are there with their shapes and types."""
     for name, like in wanted.items():
         found = arrays.get(name)
         if found is None or found.shape != like.shape or found.dtype != like.dtype:

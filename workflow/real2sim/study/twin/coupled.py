@@ -144,7 +144,7 @@ class Recording:
     survived_s: np.ndarray
 
     def of(self, rows: np.ndarray) -> Recording:
-        """Return the recording of some of the walkers."""
+        """Return the recording of some of the walkers, indices (k,)."""
         parts: dict[str, Any] = {}
         for item in fields(self):
             value = getattr(self, item.name)

@@ -211,7 +211,7 @@ class Stops:
         self.robot = np.zeros((len(rows), 3))
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray) -> None:
-        """Let simulations ``ids`` start at ``qpos`` in the middle of the strap's play."""
+        """Let simulations ``ids`` (n,), in rising order, start at ``qpos`` (n, 28) amid the strap's play."""
         which, where = np.isin(self.rows, ids), np.searchsorted(ids, self.rows)
         self.robot[which] = 0.0
         self.robot[which, 0] = qpos[where[which], 0]
@@ -344,7 +344,7 @@ class WalkEnv:
         return 1.0 if self._speeds is None else self.share
 
     def reset(self, ids: np.ndarray, noise: float = 1.0, phase: np.ndarray | None = None) -> None:
-        """Start simulations ``ids`` at a phase of the reference (random without one), with or without noise."""
+        """Start simulations ``ids`` (n,) at phases (n,) of the reference, random without one, with or without noise."""
         n, rng = len(ids), self.rng
         self.phase[ids] = rng.uniform(0, 1, n) if phase is None else phase
         self._draw_speeds(ids)

@@ -207,7 +207,10 @@ def _steady(
 
 
 def strides(time_s: np.ndarray, values: np.ndarray, strikes: np.ndarray, phases: int = 101) -> np.ndarray:
-    """Each stride resampled to 0-100 % (strides, phases); strides with a gap are left out."""
+    """Return each stride of a signal (n,) resampled to 0-100 %, (k, phases); strides with a gap are left out.
+
+    ``time_s`` (n,) and ``strikes`` (s,) [s]: k is less than s.
+    """
     out = []
     for start, end in pairwise(strikes):
         at = np.linspace(start, end, phases)
@@ -293,13 +296,13 @@ class Reference:
         return self.speeds.table, low, place - low
 
     def stride_at(self, share: np.ndarray | float) -> np.ndarray | float:
-        """Stride time [s] at a share of the own speed."""
+        """Return stride times (m,) [s] at shares (m,) of the own speed; one time for one share or one known speed."""
         if self.speeds is None or np.ndim(share) == 0:
             return self.stride_s
         return np.asarray(np.interp(share, self.speeds.shares, self.speeds.stride_s))
 
     def speed_at(self, share: np.ndarray | float) -> np.ndarray | float:
-        """Speed [m/s] at a share of the own speed, within the speeds that are known."""
+        """Return speeds (m,) [m/s] at shares (m,) of the own, within the known; the own for one share or one known."""
         if self.speeds is None or np.ndim(share) == 0:
             return self.speed
         return self.speed * np.clip(share, self.speeds.shares[0], self.speeds.shares[-1])
@@ -590,7 +593,7 @@ class _Problem:
 
 
 def measured_cycle(walks: list[Walk]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Symmetric mean cycle of the trials at `PHASES` phases [rad, m], and the asymmetry averaged away [degrees].
+    """Return the symmetric mean cycle (PHASES,) [rad, m] by coordinate, and the asymmetry averaged away [degrees].
 
     Translations of the pelvis are relative to their mean, the vertical one to the floor of its own system.
     """

@@ -36,7 +36,7 @@ def init_layers(
 
 
 def forward(layers: Layers, x: np.ndarray) -> list[np.ndarray]:
-    """Activations of every layer, input first; tanh inside, linear at the end."""
+    """Return activations (m, width) of every layer, input (m, n) first; tanh inside, linear at the end."""
     out = [x]
     for i, (w, b) in enumerate(layers):
         x = x @ w + b
@@ -47,7 +47,7 @@ def forward(layers: Layers, x: np.ndarray) -> list[np.ndarray]:
 
 
 def backward(layers: Layers, activations: list[np.ndarray], gradient: np.ndarray) -> Layers:
-    """Gradient by weights and biases from the gradient by the output."""
+    """Return gradients by weights (i, o) and biases (o,) of each layer from that by the output (m, a)."""
     out: Layers = []
     for i in range(len(layers) - 1, -1, -1):
         out.append((activations[i].T @ gradient, gradient.sum(axis=0)))
@@ -70,7 +70,7 @@ class Adam:
             self.moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self.parameters]
 
     def step(self, gradients: list[np.ndarray], largest_norm: float) -> None:
-        """One descent step; the gradient's norm is clipped."""
+        """Take one descent step along gradients shaped like the parameters, of any shape; their norm is clipped."""
         self.steps += 1
         norm = float(np.sqrt(sum(float(np.sum(g.astype(np.float64) ** 2)) for g in gradients)))
         clip = min(1.0, largest_norm / (norm + 1e-8))
@@ -83,12 +83,12 @@ class Adam:
 
 
 def flat(layers: Layers) -> list[np.ndarray]:
-    """Arrays of a network in one list: weights and biases in turn."""
+    """Return the arrays of a network in one list: weights (i, o) and biases (o,) in turn."""
     return [a for layer in layers for a in layer]
 
 
 def layers_of(arrays: list[np.ndarray]) -> Layers:
-    """Inverse of `flat`."""
+    """Return layers of weights (i, o) and biases (o,): the inverse of `flat`."""
     return list(zip(arrays[::2], arrays[1::2], strict=True))
 
 
@@ -107,7 +107,10 @@ def policy_loss(
     advantage: np.ndarray,
     clip: float,
 ) -> tuple[float, Layers, np.ndarray]:
-    """Clipped surrogate loss (to be minimised), its gradient by the layers and by ``log_std``."""
+    """Return the clipped surrogate loss (to be minimised), its gradient by the layers and by ``log_std`` (a,).
+
+    For observations (m, n), actions (m, a), their old log-probabilities (m,) and advantages (m,).
+    """
     activations = forward(layers, obs)
     mean = activations[-1]
     inverse = np.exp(-log_std)
@@ -206,7 +209,7 @@ class Learner:
         )
 
     def act(self, obs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Actions drawn for normalised observations, and their log-probability."""
+        """Return actions (m, a) drawn for normalised observations (m, n), and their log-probability (m,)."""
         mean = forward(self.actor, obs)[-1]
         action = mean + np.exp(self.log_std) * self.rng.standard_normal(mean.shape).astype(np.float32)
         return action, log_probability(action, mean, self.log_std)

@@ -121,7 +121,7 @@ class Measured:
 
     @classmethod
     def read(cls, normal: list[Path], assisted: list[Path], who: Body, rest: np.ndarray) -> Measured:
-        """Read the folders of the walk_normal and walk_robot trials."""
+        """Read the folders of the walk_normal and walk_robot trials; ``rest`` (3, 3) as in the class."""
         walks = {"walk_normal": read_walks(normal, who), "walk_robot": read_walks(assisted, who)}
         cycles = {name: adaptation.measured_cycles(found) for name, found in walks.items() if found}
         logged = [_logged_wrench(folder) for folder in assisted]
@@ -152,7 +152,10 @@ def conditions_of(
     robot: WalkingRobot,
     main_cap: float,
 ) -> list[Condition]:
-    """Return every coupling to simulate: four interfaces at each cap, the robot's constants under the prior."""
+    """Return every coupling to simulate: four interfaces at each cap, the robot's constants under the prior.
+
+    ``prior`` and ``own`` are strap parameters (12,) [SI].
+    """
     straps = strap_vectors({name: coupled[name] for name in ("soft", "stiff")})
     straps = {"soft": straps["soft"], "prior": prior, "stiff": straps["stiff"]}
     if own is not None:

@@ -131,7 +131,7 @@ def simulate_trial(
 def robot_controller(
     settings: dict[str, Any], controllers: dict[str, Any], kind: str, start: np.ndarray
 ) -> Controller:
-    """Hold about the start pose; in walking the base follows the person forward."""
+    """Return a hold about the start pose (6,) [m, rad]; in walking the base follows the person forward."""
     base = [controllers["hold"][key] for key in ("x", "y", "yaw")]
     arm = [controllers["arm"][key] for key in ("lift", "roll", "pitch")]
     stiffness = np.array([j["stiffness"] for j in base + arm], float)

@@ -136,8 +136,8 @@ def write_trial_markers(
 ) -> dict[str, Any]:
     """Write the marker trajectories of a trial; returns what the truth file keeps about it.
 
-    ``positions`` are the markers before noise where they are not the true ones; with ``smooth_hz`` the export
-    is low-passed (fourth order, zero phase), as some labs set their software to do.
+    ``positions`` (m, 3) [m, world] are the markers before noise where they are not the true ones; with ``smooth_hz``
+    the export is low-passed (fourth order, zero phase), as some labs set their software to do.
     """
     rate = settings["rates"]["markers_hz"]
     t = np.arange(round(trial.motion.duration_s * rate)) / rate
@@ -156,7 +156,7 @@ def write_trial_markers(
 
 
 def smoothed(values: np.ndarray, rate_hz: float, cutoff_hz: float) -> np.ndarray:
-    """Fourth-order zero-phase low-pass along the first axis."""
+    """Return values (n, ...) after a fourth-order zero-phase low-pass along the first axis."""
     filtered: np.ndarray = sosfiltfilt(butter(2, cutoff_hz, fs=rate_hz, output="sos"), values, axis=0)
     return filtered
 

@@ -18,14 +18,14 @@ from real2sim.verification.phantom.physics import PelvisPath, Poses
 
 
 def smooth(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Septic step from 0 to 1 over s in [0, 1] and its derivative by s."""
+    """Return the septic step from 0 to 1 over s in [0, 1], of any shape, and its derivative by s."""
     s = np.clip(s, 0.0, 1.0)
     value = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
     return value, 140 * s**3 * (1 - s) ** 3
 
 
 def smooth_integral(s: np.ndarray) -> np.ndarray:
-    """Integral of the septic step from 0 to s, for s in [0, 1]."""
+    """Return the integral of the septic step from 0 to s, of any shape, for s in [0, 1]."""
     s = np.clip(s, 0.0, 1.0)
     integral: np.ndarray = 7 * s**5 - 14 * s**6 + 10 * s**7 - 2.5 * s**8
     return integral
@@ -70,7 +70,7 @@ class Motion:
         return u, du
 
     def envelope(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fade of the sinusoids in [0, 1] and its rate."""
+        """Return the fade (m,) of the sinusoids in [0, 1] at times (m,) [s], and its rate (m,) [1/s]."""
         start, rise, end, fall = self.fade
         up, up_slope = smooth((t - start) / rise)
         if not np.isfinite(end):

@@ -125,7 +125,10 @@ def _rest_pose(settings: dict[str, Any], name: str, height: float) -> tuple[np.n
 
 
 def draw_stops(settings: dict[str, Any], name: str) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Slack range per level: yaw falls to a knee at T*, flat beyond; x and y follow a trend of their own."""
+    """Return the slack range per level [cm], lower and upper ends (6,) [m, rad].
+
+    Yaw falls to a knee at T*, flat beyond; x and y follow a trend of their own.
+    """
     law, rng = settings["stops"], stream(settings, name, "stops")
     levels, knee = (
         tightness_levels(settings["cohort"][name]),

@@ -51,7 +51,7 @@ class StrapLaw:
     migration: np.ndarray
 
     def take(self, trials: np.ndarray) -> StrapLaw:
-        """The law of some trials, by index."""
+        """Return the law of some trials, indices (k,)."""
         return StrapLaw(
             self.stiffness[trials],
             self.damping[trials],

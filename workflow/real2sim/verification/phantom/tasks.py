@@ -80,7 +80,7 @@ def _through(motion: Motion, start: float, steps: list[tuple[float, float, np.nd
 
 
 def rotation(settings: dict[str, Any], stops: tuple[np.ndarray, np.ndarray]) -> Motion:
-    """Yaw to both limits and beyond the strap's slack, as in contralateral reaching."""
+    """Return yaw to both stops, lower and upper (6,) [m, rad], and beyond the slack, as in contralateral reaching."""
     task, trials = settings["motions"]["rotation"], settings["trials"]
     accompany = np.array(task["accompany"]) * _TO_SI
     beyond, steps = np.radians(task["overreach_deg"]), []

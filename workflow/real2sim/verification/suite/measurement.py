@@ -43,7 +43,7 @@ class Recording:
 
 
 def pelvis_markers(person: Person, path: PelvisPath) -> Callable[[np.ndarray], Markers]:
-    """The four markers of a pelvis on its path; before the first sample it stands still."""
+    """Return the four markers (n, 3) [m] of a pelvis by time (n,) [s]; before the first sample it stands still."""
 
     def at(t: np.ndarray) -> Markers:
         rotation, position = path(np.maximum(t, 0.0))[:2]
@@ -53,7 +53,10 @@ def pelvis_markers(person: Person, path: PelvisPath) -> Callable[[np.ndarray], M
 
 
 def sampled(time_s: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Cubic spline through samples, held at both ends; NaN where the simulation was unstable."""
+    """Return the cubic spline through values (n, ...) at times (n,) [s] as a function of times (m,) [s], (m, ...).
+
+    Held at both ends; NaN where the simulation was unstable.
+    """
     if not np.isfinite(values).all():
         return lambda t: np.full((len(t), *values.shape[1:]), np.nan)
     spline = CubicSpline(time_s, values)
@@ -105,7 +108,7 @@ def replayed_path(markers: Markers, rate_hz: float) -> PelvisPath:
 
 
 def low_pass(values: np.ndarray, rate_hz: float, cutoff_hz: float = CUTOFF_HZ) -> np.ndarray:
-    """Zero-phase low-pass of fourth order along the first axis, -3 dB at the cut-off after both passes."""
+    """Return values (n, ...) after a zero-phase fourth-order low-pass along axis 0, -3 dB at the cut-off in all."""
     corrected = np.tan(np.pi * cutoff_hz / rate_hz) / (np.sqrt(2) - 1) ** 0.25
     sos = butter(2, 2 / np.pi * np.arctan(corrected), output="sos")
     filtered: np.ndarray = sosfiltfilt(sos, values, axis=0)

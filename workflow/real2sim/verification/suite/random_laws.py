@@ -181,7 +181,7 @@ class PlaceGain(_OnAxis):
         self.place = self.start.copy()
 
     def watch(self, joints: np.ndarray) -> None:
-        """Take in the robot's joints (trials of the batch, 6)."""
+        """Take in the robot's joints (n, 6) [m, rad] in the n trials of the batch."""
         self.place = joints[self.rows, self.joint.astype(int)].copy()
 
     def force(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:

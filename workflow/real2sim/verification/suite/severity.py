@@ -75,7 +75,7 @@ class Fit:
         return bool(np.isfinite(self.train).all() and np.isfinite(self.held_out).all())
 
     def start(self, moved: np.ndarray, train: np.ndarray, held_out: np.ndarray, tangent: np.ndarray) -> None:
-        """Begin elsewhere, where that is better."""
+        """Begin at ``moved`` (12,) with residuals (r,), (s,) of the trials and tangent (r, 12), if that is better."""
         if np.isfinite(tangent).all() and train @ train < self.train @ self.train:
             self.moved, self.train, self.held_out, self.tangent = moved, train, held_out, tangent
 
@@ -86,7 +86,7 @@ class Fit:
         return proposed
 
     def tell(self, moved: np.ndarray, train: np.ndarray, held_out: np.ndarray) -> None:
-        """Take in the residuals found there."""
+        """Take in the residuals (r,), (s,) of both trials at ln-parameters moved by ``moved`` (12,)."""
         # Broyden's update: the tangents far from the true parameters are others
         way = moved - self.moved
         if np.isfinite(train).all() and way @ way > 0:
@@ -182,7 +182,7 @@ def refit_of(
 
 
 def perturbed(stiffness: np.ndarray, damping: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Twelve copies of the strap's parameters, each with one of them larger by the tangents' step."""
+    """Return twelve copies of stiffness and damping (6,), each with one of the numbers larger by the tangents' step."""
     both = np.concatenate([stiffness, damping])
     grown = both * np.exp(STEP_LN * np.eye(12))
     return [(row[:6], row[6:]) for row in grown]

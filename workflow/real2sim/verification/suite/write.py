@@ -758,8 +758,8 @@ def _write(p: _Synthetic, true: dict[str, _Measured], folder: Path, home: np.nda
 def regimes(left: np.ndarray, train: TruePaths, held_out: TruePaths) -> dict[str, float]:
     """Share of a gap by regime of the interface's motion: amplitude and speed, each above or below its median.
 
-    ``left`` is a residual without noise (`measurement.residual`) of the held-out trial. Amplitude and speed are norms
-    of q and of its rate, each axis over its large excursion (95th percentile) in the training trial.
+    ``left`` (n_r,) is a residual without noise (`measurement.residual`) of the held-out trial. Amplitude and speed are
+    norms of q and of its rate, each axis over its large excursion (95th percentile) in the training trial.
     """
     m = (len(left) + 12) // 12
     energy = np.sum(left[: 6 * m].reshape(m, 6) ** 2, axis=1)

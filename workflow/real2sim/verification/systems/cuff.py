@@ -93,7 +93,7 @@ class CuffMechanism:
         return place
 
     def state(self, step: int, x: np.ndarray, rate: np.ndarray) -> State:
-        """See `stepping.Mechanism`."""
+        """Return the state at minimal coordinates and rates (b, 4) [m, rad; m/s, rad/s], see `stepping.Mechanism`."""
         path, b = self._path, len(x)
         thigh, omega = path.rotation[step], path.omega[step]
         u, w = thigh[:, :, 0], thigh[:, :, 2]

@@ -128,7 +128,7 @@ class DrbaMechanism:
         return out, vectors, angle
 
     def state(self, step: int, x: np.ndarray, rate: np.ndarray) -> State:
-        """See `stepping.Mechanism`."""
+        """Return the state at minimal coordinates and rates (b, 5) [m, rad; m/s, rad/s], see `stepping.Mechanism`."""
         b = len(x)
         y = self.joints_at(step, x)
         left, vectors_left, _ = self._closure(0, y[:, _LEFT])

@@ -51,7 +51,7 @@ class Setup:
 
 
 def draw_interface(stiffness: np.ndarray, damping: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return stiffness and damping of a person, log-normal about the given ones."""
+    """Return stiffness and damping (k,) of a person, log-normal about the given ones (k,), in their units."""
     rng = np.random.default_rng([seed, 99])
     factors = np.exp(_SPREAD * np.clip(rng.standard_normal((2, len(stiffness))), -2, 2))
     return stiffness * factors[0], damping * factors[1]

@@ -65,7 +65,7 @@ class OutputChain:
 def write_case(out: Path, tables: Mapping[str, Mapping[str, np.ndarray]], truth: Mapping[str, Any]) -> Path:
     """Write one Parquet table per recording and the truth in a folder of its own; return ``out``.
 
-    ``tables`` maps the names in `TRIALS` to columns of one length.
+    ``tables`` maps the names in `TRIALS` to columns (n,) of one length.
     """
     out.mkdir(parents=True, exist_ok=True)
     for name in TRIALS:
@@ -92,6 +92,6 @@ def describe_effect(effect: str | None, size: float, effects: Mapping[str, Size]
 
 
 def raise_gradually(time_s: np.ndarray, begin_s: float, rise_s: float) -> np.ndarray:
-    """Return a factor that is 0 before ``begin_s`` and 1 after ``rise_s`` more, with three continuous derivatives."""
+    """Return a factor (n,), 0 before ``begin_s`` and 1 after ``rise_s`` more, with three continuous derivatives."""
     x = np.clip((time_s - begin_s) / rise_s, 0, 1)
     return x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3)

@@ -88,10 +88,23 @@ def phantom_settings():
     return json.dumps(validated(read_yaml(source), "phantom", source))
 
 
+class People(dict):
+    """People of the study by id; a name that nobody bears ends the planning with what to do."""
+
+    def __missing__(self, name):
+        raise WorkflowError(
+            f"\n{name}"
+            f"\n  found:    no person {name} in {STUDY['paths']['subjects']}"
+            f"\n  expected: one of {', '.join(self)}"
+            f"\n  remedy:   add the person's folder (docs/how-to/new-person.md), or correct the name"
+        )
+
+
 try:
     STUDY, PEOPLE, PHANTOM = load_study(config)
 except InputError as error:
     raise WorkflowError(f"\n{error}") from None
+PEOPLE = People(PEOPLE)
 
 CALIBRATION = [name for name, person in PEOPLE.items() if person.cohort == "calibration"]
 RESTARTS = range(1, STUDY["identification"]["restarts"] + 1)
@@ -292,12 +305,7 @@ def given_all(name, paths):
 
 def no_such_person(wildcards):
     """The error for a name that nobody bears."""
-    raise WorkflowError(
-        f"\nperson_{wildcards.unknown}"
-        f"\n  found:    no person {wildcards.unknown} in {STUDY['paths']['subjects']}"
-        f"\n  expected: person_<ID> with one of {', '.join(PEOPLE)}"
-        f"\n  remedy:   add the person's folder (docs/how-to/new-person.md), or correct the name"
-    )
+    return PEOPLE[wildcards.unknown]
 
 
 def folders_of(subject, kind):

@@ -21,8 +21,13 @@ from real2sim.configuration import read_yaml
 ROOT = Path(__file__).parents[1]
 
 
-def record(score: dict[str, Any], suite: dict[str, Any], commit: str, date: str) -> dict[str, Any]:
-    """Return the record of a score: a suite's name, seed and cases, and every claim with its interval and target."""
+def record(
+    score: dict[str, Any], suite: dict[str, Any], commit: str, date: str, note: str = ""
+) -> dict[str, Any]:
+    """Return the record of a score: a suite's name, seed and cases, and every claim with its interval and target.
+
+    ``note`` says what a reader has to know beside it: cases that were not answered, say.
+    """
     return {
         "schema": 1,
         "suite": suite["name"],
@@ -32,6 +37,7 @@ def record(score: dict[str, Any], suite: dict[str, Any], commit: str, date: str)
         "failed": [row["case"] for row in score["failed"]],
         "commit": commit,
         "date": date,
+        "note": note,
         "claims": score["targets"],
     }
 
@@ -46,6 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("score", type=Path)
     parser.add_argument("--config", type=Path, required=True, help="of the suite: its name and seed")
+    parser.add_argument("--note", default="", help="what a reader has to know beside it")
     parser.add_argument("--out", type=Path, default=ROOT / "resources" / "validation")
     options = parser.parse_args()
     folder = options.score.resolve().parent
@@ -54,7 +61,7 @@ def main() -> None:
     score = read_json(options.score, ("cases", "failed", "targets"))
     suite = read_yaml(options.config)
     date = datetime.date.fromtimestamp(options.score.stat().st_mtime).isoformat()
-    made = record(score, suite, _git(folder, "rev-parse", "--short", "HEAD"), date)
+    made = record(score, suite, _git(folder, "rev-parse", "--short", "HEAD"), date, options.note)
     path = options.out / f"{suite['name']}-{suite['seed']}.json"
     write_json(path, made)
     print(path)

@@ -141,7 +141,8 @@ def _record(path: Path, seed: int, share: float) -> Path:
         "cases": 240,
         "commit": "abc1234",
     }
-    write_json(path, about | {"date": f"2026-11-{seed}", "claims": claims})
+    about |= {"note": "Half of them were answered.", "date": f"2026-11-{seed}"}
+    write_json(path, about | {"claims": claims})
     return path
 
 
@@ -155,8 +156,8 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     page, _ = _parsed(out)
     assert page.open == []
     assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
-    first = page.text.index("Suite standard, seed 20: 240 cases")
-    assert "Code of commit abc1234, 2026-11-20" in page.text[first : first + 200]
+    first = page.text.index("Suite standard, seed 20: 240 cases. Half of them were answered.")
+    assert "Code of commit abc1234, 2026-11-20" in page.text[first : first + 250]
     assert first < page.text.index("An earlier one: suite standard, seed 10")
     assert "80 % to 95 %" in page.text
     assert "None of them is a recording of a person" in page.text

@@ -67,8 +67,9 @@ def _table(record: Mapping[str, Any], claims: Sequence[Mapping[str, Any]], words
         ]
         for row in claims
     ]
+    note = f" {record['note']}" if record.get("note") else ""
     caption = (
-        f"Suite {record['suite']}, seed {record['seed']}: {record['cases']} cases. Rests on the "
+        f"Suite {record['suite']}, seed {record['seed']}: {record['cases']} cases.{note} Rests on the "
         f"{record['rests_on']}. Code of commit {record['commit']}, {record['date']}. Interval: Wilson, 95 %. rho: gap "
         "of a case over its noise floor."
     )

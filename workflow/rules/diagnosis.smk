@@ -59,7 +59,7 @@ rule diagnose:
         "../envs/real2sim.yaml"
     threads: DIAGNOSIS_THREADS
     resources:
-        mem_mb=3000,  # two trials of 30 s whose laws are measured without a name take 2.3 GB
+        mem_mb=1800,  # two trials of 30 s whose laws are measured without a name take 1.4 GB
         runtime=30,
     params:
         train=lambda wildcards, input: Path(input.train).parent,

@@ -34,6 +34,7 @@ def record(
         "seed": suite["seed"],
         "rests_on": "phantom: synthetic people whose causes were sealed until the answers were scored",
         "cases": score["cases"],
+        "planned": sum(suite["cases"].values()),
         "failed": [row["case"] for row in score["failed"]],
         "commit": commit,
         "date": date,

@@ -25,6 +25,7 @@ from real2sim.diagnosis.attribute import (
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import (
     FAILED,
+    Beside,
     Pair,
     Screened,
     Search,
@@ -45,7 +46,7 @@ EFFECTS = tuple(effect for effect in catalogue.EFFECTS if effect.places(STRAP))
 
 
 def _tangent(z):
-    return Tangent(z, np.zeros(1), np.zeros((1, len(z))))
+    return Beside(z, np.zeros(1), np.zeros((1, 0)), np.zeros((1, len(z))))
 
 
 class _Stuck(Search):
@@ -493,9 +494,9 @@ def test_opposite_starts_of_one_parameter_tell_its_slopes():
 
 def test_two_tangents_add_up_and_keep_the_prior_rows_of_each():
     here = Tangent(np.zeros(12), np.ones(20), np.arange(240.0).reshape(20, 12))
-    one = Tangent(np.append(here.z, 1.0), np.full(20, 3.0), np.hstack([here.jacobian, np.full((20, 1), 5.0)]))
-    prior = np.vstack([np.hstack([here.jacobian, np.full((20, 1), 7.0)]), np.append(np.zeros(12), 4.0)])
-    other = Tangent(np.append(here.z, 2.0), np.append(np.full(20, 0.5), 8.0), prior)
+    one = Beside(np.append(here.z, 1.0), np.full(20, 3.0), np.full((20, 1), 5.0), here.jacobian)
+    with_prior = np.append(np.full(20, 7.0), 4.0)[:, None]
+    other = Beside(np.append(here.z, 2.0), np.append(np.full(20, 0.5), 8.0), with_prior, here.jacobian)
     both = _together(here, one, other)
     assert both.z[12:].tolist() == [1.0, 2.0]
     assert both.residuals.tolist() == [2.5] * 20 + [8.0]

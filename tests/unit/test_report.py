@@ -138,10 +138,10 @@ def _record(path: Path, seed: int, share: float) -> Path:
         "suite": "standard",
         "seed": seed,
         "rests_on": "phantom: synthetic",
-        "cases": 240,
-        "commit": "abc1234",
+        "cases": 120,
+        "planned": 240,
     }
-    about |= {"note": "Half of them were answered.", "date": f"2026-11-{seed}"}
+    about |= {"commit": "abc1234", "note": "Stopped for time.", "date": f"2026-11-{seed}"}
     write_json(path, about | {"claims": claims})
     return path
 
@@ -156,7 +156,7 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     page, _ = _parsed(out)
     assert page.open == []
     assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
-    first = page.text.index("Suite standard, seed 20: 240 cases. Half of them were answered.")
+    first = page.text.index("Suite standard, seed 20: 120 of 240 cases answered. Stopped for time.")
     assert "Code of commit abc1234, 2026-11-20" in page.text[first : first + 250]
     assert first < page.text.index("An earlier one: suite standard, seed 10")
     assert "80 % to 95 %" in page.text
@@ -169,9 +169,12 @@ def test_a_scored_suite_becomes_a_record_that_the_report_reads():
     module = module_from_spec(ship)
     ship.loader.exec_module(module)
     score = {"cases": 40, "failed": [{"case": "C0001", "error": "x"}], "targets": [{"claim": "a"}]}
-    made = module.record(score, {"name": "ci", "seed": 7}, "abc1234", "2026-11-26")
+    made = module.record(
+        score, {"name": "ci", "seed": 7, "cases": {"null": 8, "mixture": 32}}, "abc1234", "2026-11-26"
+    )
     assert set(RECORD_KEYS) <= set(made)
     assert made["failed"] == ["C0001"]
+    assert made["planned"] == 40
 
 
 @pytest.mark.parametrize("phantom", [True, False])

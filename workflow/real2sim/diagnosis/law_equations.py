@@ -8,7 +8,6 @@ likelihood at every scale (MacKay, Neural Comput. 4 (1992) 415, section 4).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -81,7 +80,7 @@ class Equations:
 
     def solve(self, family: Products, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the step of the base (n,) and the coefficients (p,) for a prior ``sd`` (p,)."""
-        step = self._held(family, sd)[1]
+        step, _ = self._held(family, sd)
         n = len(self._b)
         return step[:n], step[n:]
 
@@ -95,43 +94,48 @@ class Equations:
         """Return the prior scale of the largest evidence at weights (p,), and its gain in ln evidence on the base."""
         spread = _Spread(self._a, self._b, family, weights)
         occam = np.log1p(SCALES[:, None] ** 2 * spread.shares).sum(axis=1)
-        gains = 0.5 * (self._alone - self._left_at(family, weights, spread) - occam)
+        gains = 0.5 * (self._alone - self._left_at(family, weights) - occam)
         best = int(np.argmax(gains))
         return float(SCALES[best]), float(gains[best])
 
-    def _left_at(self, family: Products, weights: np.ndarray, free: _Spread) -> np.ndarray:
+    def _left_at(self, family: Products, weights: np.ndarray) -> np.ndarray:
         """Squares (s,) that are left with each of the scales, coefficients and their prior counted."""
         n = len(self._b)
-        ends = [self._held(family, scale * weights)[1][:n] for scale in (SCALES[0], SCALES[-1])]
-        stopped = [(end <= self._lower) | (end >= self._upper) for end in ends]
-        at_bound = stopped[0]
-        if (stopped[0] == stopped[1]).all() and np.array_equal(ends[0][at_bound], ends[1][at_bound]):
-            held, square = ends[0][at_bound], self._square
-            loose, a = ~at_bound, self._a
-            if at_bound.any():
-                square += 2 * self._b[at_bound] @ held + held @ a[np.ix_(at_bound, at_bound)] @ held
-                b = self._b[loose] + a[np.ix_(loose, at_bound)] @ held
-                slope = family.slope + family.across[at_bound].T @ held
-                rest = Products(family.across[loose], family.own, slope)
-                free = _Spread(a[np.ix_(loose, loose)], b, rest, weights)
+        ends = [self._held(family, scale * weights)[0][:n] for scale in (SCALES[0], SCALES[-1])]
+        first, last = ((end <= self._lower) | (end >= self._upper) for end in ends)
+        if (first == last).all() and np.array_equal(ends[0][first], ends[1][first]):
+            free, square = self._beside_stopped(family, weights, first, ends[0][first])
             steps = free.steps(SCALES)
-            if ((steps > self._lower[loose]) & (steps < self._upper[loose])).all():
+            if ((steps > self._lower[~first]) & (steps < self._upper[~first])).all():
                 return free.left(SCALES, square)
         # bounds that some scales meet and others do not: each is solved by itself
-        return np.array([self._held(family, scale * weights)[2] for scale in SCALES])
+        return np.array([self._held(family, scale * weights)[1] for scale in SCALES])
+
+    def _beside_stopped(
+        self, family: Products, weights: np.ndarray, stopped: np.ndarray, held: np.ndarray
+    ) -> tuple[_Spread, float]:
+        """Return the family beside the parameters that no bound has ``stopped`` (n,), and the square without them.
+
+        ``held`` (k,) are the steps of the stopped ones.
+        """
+        loose, a = ~stopped, self._a
+        square = self._square + 2 * self._b[stopped] @ held + held @ a[np.ix_(stopped, stopped)] @ held
+        b = self._b[loose] + a[np.ix_(loose, stopped)] @ held
+        rest = Products(family.across[loose], family.own, family.slope + family.across[stopped].T @ held)
+        return _Spread(a[np.ix_(loose, loose)], b, rest, weights), float(square)
 
     def _normal(self, family: Products) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and slope of base and family, without a prior of the coefficients."""
         a = np.block([[self._a, family.across], [family.across.T, family.own]])
         return a, np.concatenate([self._b, family.slope])
 
-    def _held(self, family: Products, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Normal matrix, step and what is left with coefficients of prior ``sd`` (p,)."""
+    def _held(self, family: Products, sd: np.ndarray) -> tuple[np.ndarray, float]:
+        """Step (n + p,) and the square that it leaves with coefficients of prior ``sd`` (p,)."""
         a, b = self._normal(family)
         n, far = len(self._b), np.full(len(sd), np.inf)
         a[range(n, len(a)), range(n, len(a))] += 1 / sd**2
         lower, upper = np.concatenate([self._lower, -far]), np.concatenate([self._upper, far])
-        return a, *solved(a, b, lower, upper, self._square)
+        return solved(a, b, lower, upper, self._square)
 
 
 class _Spread:
@@ -141,7 +145,6 @@ class _Spread:
     """
 
     def __init__(self, a: np.ndarray, b: np.ndarray, family: Products, weights: np.ndarray):
-        self._a, self._b = a, b
         solution = np.linalg.solve(a, np.column_stack([family.across, b]))
         self._by_family, self._by_base = solution[:, :-1], solution[:, -1]
         beyond = family.own - family.across.T @ self._by_family
@@ -150,11 +153,8 @@ class _Spread:
         self.shares = np.maximum(shares, 0.0)
         slope = family.slope - family.across.T @ self._by_base
         self._slope, self._weights = self._directions.T @ (weights * slope), weights
-
-    @cached_property
-    def _alone(self) -> float:
-        """Reduction of the square by the base alone."""
-        return float(self._b @ self._by_base)
+        # what the base takes from the square by itself
+        self._alone = float(b @ self._by_base)
 
     def left(self, scales: np.ndarray, square: float) -> np.ndarray:
         """Squares (s,) that are left of a square, coefficients and their prior counted."""

@@ -82,7 +82,7 @@ class Screened:
     effects: tuple[Placed, ...]
     predicted: float
     start: np.ndarray
-    tangent: Tangent | Beside
+    tangent: Beside
 
 
 def conflict(effects: Sequence[Placed]) -> bool:
@@ -189,10 +189,8 @@ class Search:
 
         Once more where even the start without the strap's old parameters is better than what came out.
         """
-        known = screened.tangent
-        whole = known.whole if isinstance(known, Beside) else known
-        fitted = self.fit(screened.effects, screened.start, tangent=whole)
-        origin = known.z
+        fitted = self.fit(screened.effects, screened.start, tangent=screened.tangent.whole)
+        origin = screened.tangent.z
         if fitted.chi2[0] >= FAILED:
             fitted = self.fit(screened.effects, origin)
         own = len(screened.effects[-1].effect.parameters)
@@ -365,20 +363,18 @@ def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.n
     return [(odd + 2 * even * x)[:, None] for x in starts[:, 0]]
 
 
-def _together(here: Tangent, one: Tangent | Beside, other: Tangent | Beside) -> Tangent:
+def _together(here: Tangent, one: Beside, other: Beside) -> Beside:
     """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
     rows, columns = here.jacobian.shape
     both = (one, other)
     changed = here.residuals + sum(t.residuals[:rows] - here.residuals for t in both)
     # prior rows of one effect do not see the other
-    added = [t.columns if isinstance(t, Beside) else t.jacobian[:, columns:] for t in both]
-    own = block_diag(*(c[rows:] for c in added))
-    top = np.hstack([here.jacobian, *(c[:rows] for c in added)])
-    bottom = np.hstack([np.zeros((len(own), columns)), own])
-    return Tangent(
+    own = block_diag(*(t.columns[rows:] for t in both))
+    return Beside(
         np.concatenate([here.z, *(t.z[columns:] for t in both)]),
         np.concatenate([changed, *(t.residuals[rows:] for t in both)]),
-        np.vstack([top, bottom]),
+        np.vstack([np.hstack([t.columns[:rows] for t in both]), own]),
+        here.jacobian,
     )
 
 
@@ -432,7 +428,7 @@ def _of_axis(index: Mapping[int, int], axis: int) -> list[int]:
 
 
 def _bounded_step(
-    tangent: Tangent | Beside, lower: np.ndarray, upper: np.ndarray, longest: float
+    tangent: Beside, lower: np.ndarray, upper: np.ndarray, longest: float
 ) -> tuple[np.ndarray, float]:
     """Return the Gauss-Newton step inside the bounds, ``longest`` a coordinate, and the cost that it predicts."""
     z, r, jacobian = tangent.z, tangent.residuals, tangent.jacobian

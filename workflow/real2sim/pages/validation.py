@@ -8,7 +8,7 @@ from typing import Any
 
 from real2sim.pages.page import folded, paragraph, percent, rounded, table
 
-RECORD_KEYS = ("suite", "seed", "rests_on", "cases", "commit", "date", "claims")
+RECORD_KEYS = ("suite", "seed", "rests_on", "cases", "planned", "commit", "date", "claims")
 # Claims of a score that a reader asks first, in plain words
 FIRST = {
     "cause, top-1, rho >= 0.2": "one cause, a gap of 0.2 of the noise floor and more: named first",
@@ -69,9 +69,9 @@ def _table(record: Mapping[str, Any], claims: Sequence[Mapping[str, Any]], words
     ]
     note = f" {record['note']}" if record.get("note") else ""
     caption = (
-        f"Suite {record['suite']}, seed {record['seed']}: {record['cases']} cases.{note} Rests on the "
-        f"{record['rests_on']}. Code of commit {record['commit']}, {record['date']}. Interval: Wilson, 95 %. rho: gap "
-        "of a case over its noise floor."
+        f"Suite {record['suite']}, seed {record['seed']}: {record['cases']} of {record['planned']} cases "
+        f"answered.{note} Rests on the {record['rests_on']}. Code of commit {record['commit']}, {record['date']}. "
+        "Interval: Wilson, 95 %. rho: gap of a case over its noise floor."
     )
     head = ["Claim", "Share or value", "95 % interval", "Cases", "Goal", "Goal met"]
     return table(head, rows, caption=escape(caption), numeric=(1, 2, 3))

@@ -17,18 +17,15 @@ from real2sim.effects.base import Placed
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.system_replay import SystemReplay
 from real2sim.recording.table import Recording
-from real2sim.system.description import shipped_system
-from real2sim.system.linear import Linearised
+from real2sim.system.description import System, shipped, shipped_system
+from real2sim.system.linear import Linearised, PrescribedMotion
 from real2sim.verification.systems import one_axis
 
 CONFIG = validated({}, "config", Path("defaults"))["diagnosis"]
 
 
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory):
-    """Two records of a positioning system that is driven by a force, and its plain fit."""
-    folder = one_axis.simulate_emps("coulomb", 20.4, 1, tmp_path_factory.mktemp("emps"), 4.0)
-    system = shipped_system("emps")
+def _records(system, folder):
+    """Two records of the positioning system, whitened, and its plain fit."""
     records = {n: Recording.read(system, folder / f"{n}.parquet") for n in ("train", "held_out", "quiet")}
 
     def load(name, settled):
@@ -36,6 +33,24 @@ def pair(tmp_path_factory):
         return evidence.as_settled() if settled else evidence
 
     return Trials("train", "held_out", system, load, CONFIG, lambda text: None).prepare()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Records of a positioning system with dry friction."""
+    return one_axis.simulate_emps("coulomb", 20.4, 1, tmp_path_factory.mktemp("emps"), 4.0)
+
+
+@pytest.fixture(scope="module")
+def pair(folder):
+    """The system as its force drives it."""
+    return _records(shipped_system("emps"), folder)
+
+
+@pytest.fixture(scope="module")
+def along_a_path(folder):
+    """The same carriage moved along its measured path, whose force is seen."""
+    return _records(System.from_yaml(shipped("emps") / "by_path.yaml"), folder)
 
 
 def test_slopes_by_forces_are_those_of_replays(pair, monkeypatch):
@@ -150,3 +165,29 @@ def test_what_only_sensors_show_shares_one_simulation(pair, monkeypatch):
     points[1:, 0] += 0.1
     problem.many(points)
     assert simulated == [2]
+
+
+def test_a_force_beside_a_prescribed_path_changes_what_holds_the_path_and_nothing_else(
+    along_a_path, monkeypatch
+):
+    """Even where something sticks: no simulation is needed for a slope, and it is exact."""
+    both, z = along_a_path
+    library = Library(both, 1.0)
+    bristles = next(e for e in EFFECTS if e.name == "lugre")
+    sticks = Placed(bristles, bristles.places(both.system)[0], both.train.scales)
+    base = Hypothesis((sticks,), np.concatenate([z, sticks.starts()[0]]), (np.nan, np.nan))
+    family = next(f for f in library.forces if f.kind == "dissipative")
+    problem = JointResiduals(both.train, (sticks, library.placed(family, 0.1)), both.system, coarse=True)
+    at = np.concatenate([base.z, np.full(len(family.terms), 0.01)])
+    free = np.arange(len(at))
+    assert isinstance(problem._replay.linearised(), PrescribedMotion)
+    fast, columns = (
+        problem.with_jacobian(at, free)[1],
+        free_form._slopes_of(both.train, library, base)[0].columns,
+    )
+    monkeypatch.setattr(free_form, "_on_tangent", lambda *_: False)
+    monkeypatch.setattr(JointResiduals, "_by_forces", lambda *_: None)
+    slow = problem.with_jacobian(at, free)[1]
+    np.testing.assert_allclose(fast, slow, atol=1e-5 * np.abs(slow).max())
+    replayed = free_form._slopes_of(both.train, library, base)[0].columns
+    np.testing.assert_allclose(columns, replayed, atol=1e-5 * np.abs(replayed).max())

@@ -14,7 +14,7 @@ from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import Placed
 from real2sim.effects.chains import Context
 from real2sim.recording.skin import Skin
-from real2sim.system.linear import Linearised
+from real2sim.system.linear import ForceResponse
 
 # Initial-state hypotheses: the machine is released at the start pose, or in static equilibrium with the interface
 START_POSE, BALANCE = "start pose", "balance"
@@ -29,14 +29,16 @@ class Simulation(Protocol):
         Returns what is observed (m, n, ...) and the machine's joints (m, n, j); NaN where a simulation failed.
         """
 
-    def linearised(self) -> Linearised | None:
+    def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly."""
 
     @property
     def linearisation_cost(self) -> int:
         """Simulations that take as long as `linearised`."""
 
-    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def response(
+        self, linear: ForceResponse, effect: int, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first."""
 
 

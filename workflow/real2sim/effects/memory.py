@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
+from math import atanh, tanh
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from real2sim.effects.base import (
     AtRest,
@@ -64,15 +65,29 @@ class Elastoplastic(Mechanism):
     def along(self, q: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the force (m, n) of the springs along a coordinate (n,), at rest at its origin."""
         slips = self.travels * values[:, 1:]
-        stiffness = values[:, :1, None] / values[:, 1:, None] / self.travels.sum()
-        stretch = np.empty((len(q), *slips.shape))
-        stretch[0] = np.clip(q[0], -slips, slips)
-        # np.clip costs several times what it does here
-        for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
-            np.add(last, way, out=now)
-            np.minimum(now, slips, out=now)
-            np.maximum(now, -slips, out=now)
-        return np.asarray((stiffness * np.moveaxis(stretch, 0, 1)).sum(axis=2))
+        stiffness = values[:, 0] / values[:, 1] / self.travels.sum()
+        ways = np.diff(q).tolist()
+        out = np.empty((len(values), len(q)))
+        for row, own, each in zip(out, stiffness, slips.tolist(), strict=True):
+            row[:] = own * np.sum([_slipped(float(q[0]), ways, slip) for slip in each], axis=0)
+        return out
+
+
+def _slipped(first: float, ways: list[float], slip: float) -> list[float]:
+    """Stretches (n,) of a spring that yields at ``slip``, along ``ways`` (n - 1,) of its end from ``first``.
+
+    Plain numbers: a step of arrays this short is all overhead.
+    """
+    stretch = min(max(first, -slip), slip)
+    path = [stretch]
+    for way in ways:
+        stretch += way
+        if stretch > slip:
+            stretch = slip
+        elif stretch < -slip:
+            stretch = -slip
+        path.append(stretch)
+    return path
 
 
 def _yielding_tendon(spec: mujoco.MjSpec, name: str, where: Where) -> None:
@@ -211,9 +226,12 @@ def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
 
     Along a coordinate (n,) that they rest at the start of.
     """
-    stiffness, time = values.T
-    fades = np.exp(-step_s / time)
-    return np.asarray(stiffness[:, None] * _stretched(q, lambda e: e * fades, len(values)))
+    ways = np.diff(q)
+    out = np.zeros((len(values), len(q)))
+    for row, (spring, time) in zip(out, values, strict=True):
+        kept = float(np.exp(-step_s / time))
+        row[1:] = spring * lfilter([kept], [1, -kept], ways)
+    return out
 
 
 # Stretch in lengths at which a flowing dashpot is as fast as the linear one of its time constant
@@ -227,19 +245,24 @@ def eyring(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     e' = q' - r sinh(e / l). Between steps tanh(e / 2 l) fades as exp(-r t / l), whatever the step. Source: Eyring,
     J. Chem. Phys. 4 (1936) 283.
     """
-    stiffness, time, length = values.T
-    fades = np.exp(-step_s * _AS_LINEAR / np.sinh(_AS_LINEAR) / time)
-    both = 2 * length
-    stretch = _stretched(q, lambda e: both * np.arctanh(np.tanh(e / both) * fades), len(values))
-    return np.asarray(stiffness[:, None] * stretch)
+    ways = np.diff(q).tolist()
+    out = np.zeros((len(values), len(q)))
+    for row, (spring, time, length) in zip(out, values, strict=True):
+        fades = float(np.exp(-step_s * _AS_LINEAR / np.sinh(_AS_LINEAR) / time))
+        row[:] = spring * np.array(_flown(ways, fades, 2 * float(length)))
+    return out
 
 
-def _stretched(q: np.ndarray, flown: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
-    """Stretches (count, n) of springs along a coordinate (n,): ``flown`` is what a step leaves of them, (count,)."""
-    stretch = np.zeros((len(q), count))
-    for last, now, way in zip(stretch[:-1], stretch[1:], np.diff(q), strict=True):
-        now[:] = flown(last + way)
-    return stretch.T
+def _flown(ways: list[float], fades: float, both: float) -> list[float]:
+    """Stretches (n,) of the spring of `eyring` along ``ways`` (n - 1,) of its end; ``both`` is two lengths.
+
+    Plain numbers, as of `_slipped`.
+    """
+    stretch, path = 0.0, [0.0]
+    for way in ways:
+        stretch = both * atanh(tanh((stretch + way) / both) * fades)
+        path.append(stretch)
+    return path
 
 
 def bouc_wen(values: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from real2sim.effects.frames import move_rest
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.linear import Linearised
+from real2sim.system.linear import ForceResponse, Linearised
 from real2sim.system.plant import RestPose, robot_pose_for
 from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 
@@ -495,7 +495,7 @@ class EffectReplay(Replay):
         for axis in range(len(self._dofs)):
             move_rest(fields, axis, -stretch[:, axis])
 
-    def linearised(self) -> Linearised | None:
+    def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
 
         Something sticks, stops, answers the interface, stands at rest by forces or is seen from another frame.
@@ -508,7 +508,9 @@ class EffectReplay(Replay):
         """Simulations that take as long as a linearisation: every other step, one either way by state and control."""
         return int(2 * self.model.nv + self.model.na + self.model.nu)
 
-    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def response(
+        self, linear: ForceResponse, effect: int, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
 
         Paths (p, n, 2, 3) [m] and joints (p, n, 6) [m, rad].

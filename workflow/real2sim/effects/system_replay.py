@@ -17,7 +17,7 @@ from real2sim.system.batches import untimed_batch
 from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
 from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.linear import Linearised
+from real2sim.system.linear import ForceResponse, Linearised, PrescribedMotion, joints_of
 from real2sim.system.plant import RestPose, compiled
 from real2sim.system.replay import Simulated, servo_command
 
@@ -204,21 +204,45 @@ class SystemReplay:
         self._unchained: Unchained = paths[0], logs[0], [v[:1] for v in values]
         return chained(self.effects, paths[which], logs[which], values, self._context)
 
-    def linearised(self) -> Linearised | None:
+    def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
 
-        Something sticks, stops or stands at rest by forces, or a force is seen.
+        Something sticks, stops or stands at rest by forces, or a force is seen. Motors that all act on joints with a
+        prescribed path move nothing, whatever sticks.
         """
+        if self._prescribed:
+            return PrescribedMotion(self.model, self._forces_shown)
         seen = any(o.quantity == "force" for o in self._setup.system.outputs)
         rough = self._sticks or self._setup.settled or any(p.effect.plant.weighed for p in self.effects)
         return None if seen or rough else Linearised(self.as_simulated(), self._setup.stride)
 
     @property
+    def _prescribed(self) -> bool:
+        """Every motor of a planned force acts on a joint that follows a path."""
+        if self._setup.system.drive.by != PATH:
+            return False
+        held = {self.model.joint(name).id for name in self._setup.system.drive.columns}
+        motors = [p.effect.plant.columns(self.model, p.where) for p in self.effects if p.effect.plant.linear]
+        return all(set(joints_of(self.model, columns).tolist()) <= held for columns in motors)
+
+    @property
+    def _forces_shown(self) -> dict[int, int]:
+        """Sensor of each joint whose force is an output, by the joint's index."""
+        first = 3 * self.channels.markers
+        return {
+            self.model.joint(output.joint).id: first + self.channels.outputs.index(output.column)
+            for output in self._setup.system.outputs
+            if output.quantity == "force"
+        }
+
+    @property
     def linearisation_cost(self) -> int:
         """Simulations that take as long as a linearisation: every other step, one either way by state and control."""
-        return int(2 * self.model.nv + self.model.na + self.model.nu)
+        return 0 if self._prescribed else int(2 * self.model.nv + self.model.na + self.model.nu)
 
-    def response(self, linear: Linearised, effect: int, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def response(
+        self, linear: ForceResponse, effect: int, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return how forces (p, n, j) of an effect's motors at the samples change what `run_effects` returned first.
 
         Observations (p, n, c) and log (p, n, j).
@@ -366,7 +390,7 @@ class SystemReplay:
             del i
             columns = placed.effect.plant.columns(model, placed.where)
             if len(columns):
-                driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+                driven = model.jnt_dofadr[joints_of(model, columns)]
                 force[:, driven] += self._control[:m, 0, columns]
         held = [model.joint(j.name) for j in self._setup.system.machine if j.impedance is not None]
         dofs = np.array([j.dofadr[0] for j in held], int)

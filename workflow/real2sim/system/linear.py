@@ -2,10 +2,14 @@
 
 MuJoCo gives state and sensors of one step as a linear function of state and control (`mjd_transitionFD`). Along the
 motion of a simulation these matrices are the exact slope by any history of forces, so that thousands of histories cost
-a matrix product a step instead of a simulation each.
+a matrix product a step instead of a simulation each. Forces on joints that follow a prescribed path move nothing at
+all: what is seen of them is the force that holds the path.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -16,6 +20,45 @@ from real2sim.system.replay import Simulated
 _STEP = 1e-6
 # Forces that are followed side by side: as many as stay in the processor's cache
 _CHUNK = 256
+
+
+class ForceResponse(Protocol):
+    """Change of the sensors of one simulation by small forces."""
+
+    def sensors(self, forces: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the sensors (p, n, s) by forces (p, n, j) at the samples of motors (j,)."""
+
+
+class PrescribedMotion:
+    """A simulation whose motors all act on joints that follow a prescribed path.
+
+    The motion stays as it is. What holds a joint to its path gives way by the motor's force, exactly.
+
+    Parameters
+    ----------
+    model
+        The plant.
+    shown
+        Sensor by joint (both indices): the force that moves the joint along its path.
+    """
+
+    def __init__(self, model: mujoco.MjModel, shown: Mapping[int, int]):
+        self._model, self._shown = model, dict(shown)
+
+    def sensors(self, forces: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the change of the sensors (p, n, s) by forces (p, n, j) of motors (j,): as of `ForceResponse`."""
+        out = np.zeros((*forces.shape[:2], self._model.nsensordata))
+        for j, joint in enumerate(joints_of(self._model, columns)):
+            if int(joint) in self._shown:
+                out[:, :, self._shown[int(joint)]] -= forces[:, :, j]
+        return out
+
+
+def joints_of(model: mujoco.MjModel, columns: np.ndarray) -> np.ndarray:
+    """Return the joints (j,) that the actuators of control columns (j,) act on."""
+    # an actuator without a command has no column, so that columns and actuators are counted differently
+    actuators = [int(np.flatnonzero(model.actuator_ctrladr == column)[0]) for column in columns]
+    return np.asarray(model.actuator_trnid[actuators, 0])
 
 
 class Linearised:

@@ -44,7 +44,7 @@ def main() -> None:
     phantom["simulation"]["step_s"] = options.phantom_step
     phantom["trials"] |= {"walk_normal_trials": 1, "walk_robot_trials": 1}
     robot = ROOT / config["paths"]["robot"]
-    person, trials, _ = simulate_subject(phantom, config["robot"], robot, options.subject)
+    person, trials, _, _ = simulate_subject(phantom, config["robot"], robot, options.subject)
     rows = []
     for trial in trials:
         if not trial.name.startswith("dynamic"):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from real2sim.artefacts import write_json
+from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages.report import FIGURES, report_page
 from real2sim.pages.validation import RECORD_KEYS
 from synthetic_study import REMEDY, write_study
@@ -117,9 +118,13 @@ def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeyp
     monkeypatch.setattr("real2sim.pages.report.MANY_PEOPLE", 2)
     monkeypatch.setattr("real2sim.pages.report.MANY_FILES", 2)
     out = tmp_path / "report.html"
-    diagnoses = [path.with_name("diagnosis.json")] * 3
+    answer = _diagnosis()
+    answer["parameters"] = dict.fromkeys(PARAMETERS, answer["parameters"]["k_tx"])
+    write_json(tmp_path / "diagnosis.json", answer)
+    diagnoses = [tmp_path / "diagnosis.json"] * 3
     report_page(**given, title="Many", out=out, diagnoses=diagnoses)
     page, content = _parsed(out)
+    assert "The same with the diagnosed causes in the model" in page.text
     assert page.open == []
     assert page.text.count("5 people, one by one") == 6
     assert "The verdicts on 4 people one by one stand in the table below" in page.text

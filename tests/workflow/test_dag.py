@@ -46,6 +46,17 @@ def test_no_rule_reads_the_sealed_truth(project):
     assert not any("sealed" in command for command in commands)
 
 
+def test_people_with_a_sealed_gap_are_all_diagnosed_and_table_i_stands_twice(project):
+    assert "with_effects" not in project.planned()
+    jobs = _jobs(project, "--configfile", "config/gap.yaml")
+    rules = [job["rule"] for job in jobs]
+    assert rules.count("diagnose") == 6
+    assert rules.count("with_effects") == 1
+    told = [job["command"] for job in jobs if '"gap": {"enabled": true' in job["command"]]
+    assert len(told) == 6
+    assert not any("sealed" in job["input"] for job in jobs)
+
+
 def test_motion_is_a_file_per_fitted_trial_and_apart_from_the_study(project):
     assert "motion_file" not in project.planned()
     assert project.planned("motion")["motion_file"] == 10

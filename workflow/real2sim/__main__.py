@@ -63,6 +63,7 @@ COMMANDS = {
     "speed-figure": "real2sim.pages.twin:speed_figure",
     "wrench-figure": "real2sim.pages.twin:wrench_figure",
     "paper-tables": "real2sim.study.paper.tables:paper_tables",
+    "with-effects": "real2sim.study.paper.with_effects:with_effects",
     "paper-figures": "real2sim.study.paper.tables:paper_figures",
     "claims": "real2sim.study.paper.claims:claims",
     "tightness-figure": "real2sim.pages.tightness:tightness_figure",

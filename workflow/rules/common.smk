@@ -34,7 +34,7 @@ from real2sim.errors import InputError
 from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
 from real2sim.inference.parameters import PARAMETERS
-from real2sim.verification.phantom.plan import planned_files, planned_subjects
+from real2sim.verification.phantom.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import fingerprint
 from real2sim.recording.subjects import discover, require_operating_point
@@ -55,8 +55,7 @@ def load_study(raw_config):
     people = {} if study["cohort"] == "phantom" else discover(Path(study["paths"]["subjects"]))
     phantom = None
     if study["cohort"] == "phantom" or (study["cohort"] == "auto" and not people):
-        source = Path(study["paths"]["phantom"])
-        phantom = validated(read_yaml(source), "phantom", source)
+        phantom = read_settings(Path(study["paths"]["phantom"]))
         people = planned_subjects(phantom, Path("results/phantom/raw"))
     if not people:
         raise nobody_to_calibrate(study, people)
@@ -84,8 +83,7 @@ def suite_settings():
 
 def phantom_settings():
     """Checked settings of the phantom as JSON, also where real people take part."""
-    source = Path(STUDY["paths"]["phantom"])
-    return json.dumps(validated(read_yaml(source), "phantom", source))
+    return json.dumps(read_settings(Path(STUDY["paths"]["phantom"])))
 
 
 class People(dict):

@@ -10,8 +10,9 @@ import numpy as np
 import yaml
 
 from real2sim.files import write_text
-from real2sim.verification.phantom import exports
+from real2sim.verification.phantom import exports, gap
 from real2sim.verification.phantom.exports import Trial
+from real2sim.verification.phantom.gap import Gap
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import PARAMETER_NAMES, UNITS, Person, active, draw_person, stream
 from real2sim.verification.phantom.physics import (
@@ -50,7 +51,7 @@ def write_subject(
         raise ValueError(
             f"the files asked for are not those planned for {subject}: {set(out) ^ set(planned)}"
         )
-    person, trials, start_poses = simulate_subject(settings, controllers, robot, subject)
+    person, trials, start_poses, sealed = simulate_subject(settings, controllers, robot, subject)
     home = _base_home(robot)
     notes: dict[str, Any] = {}
     for index, trial in enumerate(trials):
@@ -64,14 +65,20 @@ def write_subject(
     write_text(folder / "subject.yaml", _subject_yaml(person))
     write_text(
         truth,
-        json.dumps(_truth(settings, person, notes, robot, controllers), indent=1, allow_nan=False),
+        json.dumps(
+            _truth(settings, person, notes, robot, controllers)
+            | ({} if sealed is None else {"gap": sealed.truth()}),
+            indent=1,
+            allow_nan=False,
+        ),
     )
 
 
 def simulate_subject(
     settings: dict[str, Any], controllers: dict[str, Any], robot: Path, subject: str
-) -> tuple[Person, list[Trial], dict[str, np.ndarray]]:
-    """All trials of a person with their true paths, and the robot's start pose (6,) per trial."""
+) -> tuple[Person, list[Trial], dict[str, np.ndarray], Gap | None]:
+    """All trials of a person with their true paths, the robot's start pose (6,) per trial, and their sealed gap."""
+    gap.check(settings, trial_names(settings, subject))
     plant = Robot(robot, settings["simulation"]["step_s"])
     person = draw_person(settings, subject, float(plant.rest_middle(np.zeros(6))[1][2]))
     trials, starts = [], {}
@@ -84,7 +91,20 @@ def simulate_subject(
     done = simulate(plant, [t.path for t in with_robot], law, hands, settings["rates"]["log_hz"])
     for trial, paths in zip(with_robot, done, strict=True):
         trial.truth = paths
-    return person, trials, starts
+    if not settings["gap"]["enabled"]:
+        return person, trials, starts, None
+    about = [(t, hand) for t, hand in zip(with_robot, hands, strict=True) if t.kind in ("neutral", "dynamic")]
+    sealed = Gap(
+        settings,
+        robot,
+        person,
+        motions={t.name: t.motion for t, _ in about},
+        paths={t.name: t.path for t, _ in about},
+        starts={t.name: starts[t.name] for t, _ in about},
+        controllers={t.name: hand for t, hand in about},
+    )
+    sealed.put_into([t for t, _ in about])
+    return person, trials, starts, sealed
 
 
 def simulate_trial(

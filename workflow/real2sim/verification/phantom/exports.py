@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,10 @@ _ASIS_IN_BODY = np.array([0.0095, 0.0, 0.0181])
 
 @dataclass
 class Trial:
-    """One trial before it is measured; ``truth`` is None without the robot, ``heading`` in rad."""
+    """One trial before it is measured; ``truth`` is None without the robot, ``heading`` in rad.
+
+    ``shown``, where markers are not where the truth has them: all of them (m, 3) [m, world] by times (m,) [s].
+    """
 
     name: str
     motion: Motion
@@ -72,6 +76,7 @@ class Trial:
     heading: float
     pivot_start: np.ndarray
     truth: TruePaths | None
+    shown: Callable[[np.ndarray], dict[str, np.ndarray]] | None = None
 
     @property
     def kind(self) -> str:
@@ -142,7 +147,7 @@ def write_trial_markers(
     rate = settings["rates"]["markers_hz"]
     t = np.arange(round(trial.motion.duration_s * rate)) / rate
     if positions is None:
-        positions = true_markers(settings, person, trial, t)
+        positions = true_markers(settings, person, trial, t) if trial.shown is None else trial.shown(t)
     rng = stream(settings, person.name, trial.name, "markers")
     for name, values in positions.items():
         values += person.marker_noise(rng, values.shape, rate)

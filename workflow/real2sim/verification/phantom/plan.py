@@ -5,7 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from real2sim.configuration import read_yaml, validated
+from real2sim.errors import InputError
 from real2sim.recording.subjects import Subject, TrialFiles
+
+
+def read_settings(source: Path) -> dict[str, Any]:
+    """Return the checked settings of a phantom: config/phantom.yaml, or a file that ``extends`` another one.
+
+    A file with the key ``extends``, a path from its own folder, says only what is different. Raises InputError.
+    """
+    own = read_yaml(source)
+    if isinstance(own, dict) and "extends" in own:
+        base = read_yaml(source.parent / str(own.pop("extends")))
+        if not isinstance(base, dict) or "extends" in base:
+            raise InputError(
+                source,
+                "extends",
+                "a file that extends another one, or holds no settings",
+                "a file with all settings, as config/phantom.yaml",
+                "Name that file.",
+            )
+        own = _merged(base, own)
+    return validated(own, "phantom", source)
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return settings in which those of ``own`` stand before those of ``base``, group by group."""
+    out = dict(base)
+    for key, value in own.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        out[key] = _merged(base[key], value) if both else value
+    return out
 
 
 def tightness_levels(person: dict[str, Any]) -> list[int]:

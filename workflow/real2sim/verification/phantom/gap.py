@@ -1,0 +1,227 @@
+"""The sealed gap of a phantom: unmodelled effects in the neutral and dynamic trials, as large as a study's gap.
+
+Which effects a person has is drawn from the prior of config/phantom.yaml; their sizes are those at which the plain
+model, refitted, leaves the cost J that was drawn too. The effects are those of the diagnosis suite, with their own
+physics: nothing here is shared with what an analysis simulates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real2sim.errors import InputError
+from real2sim.verification.phantom.exports import Trial
+from real2sim.verification.phantom.motions import Motion
+from real2sim.verification.phantom.person import Person, stream
+from real2sim.verification.phantom.physics import Controller, PelvisPath, Robot
+from real2sim.verification.suite.effects import Draw
+from real2sim.verification.suite.forms import FORMS
+from real2sim.verification.suite.gaps import gaps, record_of, with_effects
+from real2sim.verification.suite.measurement import Recording
+from real2sim.verification.suite.plan import Case
+from real2sim.verification.suite.setups import run
+from real2sim.verification.suite.severity import HELD_OUT, TRAIN
+from real2sim.verification.suite.synthetic import (
+    RATE_HZ,
+    Applied,
+    Cause,
+    Synthetic,
+    World,
+    about_of,
+    applied,
+    describe,
+    linearise,
+)
+
+# Ratio of sizes that are tried side by side
+_STEP = 1.5
+
+
+def _markers(recording: Recording, t: np.ndarray) -> dict[str, np.ndarray]:
+    """All markers (m, 3) [m] of a recording at times (m,) [s]."""
+    centres = recording.interface(t)
+    return recording.pelvis(t) | {"IF_L": centres[:, 0].copy(), "IF_R": centres[:, 1].copy()}
+
+
+def _size_at(wanted: float, sizes: np.ndarray, costs: np.ndarray) -> float:
+    """Return the size that makes a cost, between those tried (k,), or the one whose cost comes nearest."""
+    for i in range(len(sizes) - 1):
+        low, high = costs[i], costs[i + 1]
+        if 0 < low <= wanted <= high:
+            share = np.log(wanted / low) / np.log(high / low)
+            return float(sizes[i] * (sizes[i + 1] / sizes[i]) ** share)
+    return float(sizes[int(np.argmin(np.abs(np.log(np.maximum(costs, 1e-9) / wanted))))])
+
+
+def check(settings: dict[str, Any], trials: Sequence[str]) -> None:
+    """Raise InputError where a gap is asked for that cannot be: of ``trials`` by name, for config/phantom.yaml."""
+    if not settings["gap"]["enabled"]:
+        return
+    unknown = [name for name in settings["gap"]["prior"] if name not in FORMS]
+    if unknown:
+        raise InputError(
+            "config/phantom.yaml",
+            "gap.prior",
+            ", ".join(unknown),
+            f"effects of the diagnosis suite: {', '.join(sorted(FORMS))}",
+            "Correct the name.",
+        )
+    if not {TRAIN, HELD_OUT} <= set(trials):
+        raise InputError(
+            "config/phantom.yaml",
+            "trials.dynamic_trials",
+            "fewer than two dynamic trials",
+            "two, one that is fitted and one that is predicted",
+            "Plan two, or set gap.enabled: false.",
+        )
+
+
+class Gap:
+    """Effects of one person, and their trials with them.
+
+    Parameters
+    ----------
+    settings
+        config/phantom.yaml with ``gap.enabled``.
+    robot
+        MJCF of the robot.
+    person
+        The synthetic person.
+    motions, paths, starts, controllers
+        Of the neutral and the dynamic trials, by name; ``starts`` are robot joints (6,) at t = 0.
+    """
+
+    def __init__(
+        self,
+        settings: dict[str, Any],
+        robot: Path,
+        person: Person,
+        *,
+        motions: dict[str, Motion],
+        paths: dict[str, PelvisPath],
+        starts: dict[str, np.ndarray],
+        controllers: dict[str, Controller],
+    ):
+        self._options, self._settings, self._person = settings["gap"], settings, person
+        coarse, fine = (Robot(robot, s) for s in (self._options["step_s"], settings["simulation"]["step_s"]))
+        about = {
+            "seed": settings["seed"],
+            "parameters": settings["parameters"],
+            "severity": {"refits": self._options["refits"]},
+        }
+        self._world = World(about, settings, coarse, fine)
+        case = Case(person.name, "gap", (), None)
+        self._p = Synthetic(
+            case, person, settings, motions, paths, starts, controllers, None, (1.0, 1.0), self._causes()
+        )
+        describe(self._world, [self._p])
+        linearise(self._world, [self._p])
+        rng = stream(settings, person.name, "gap", "J")
+        self._wanted = float(rng.uniform(*self._options["j"]))
+        self._choose()
+        self._fit_sizes()
+
+    def _causes(self) -> list[Cause]:
+        """Draw one or two effects, not twice the same."""
+        rng = stream(self._settings, self._person.name, "gap", "causes")
+        names = sorted(self._options["prior"])
+        weight = np.array([self._options["prior"][name] for name in names], float)
+        count = 2 if rng.random() < self._options["two_share"] else 1
+        chosen = rng.choice(len(names), count, replace=False, p=weight / weight.sum())
+        return [Cause(FORMS[names[i]], names[i]) for i in chosen]
+
+    def _choose(self) -> None:
+        """Take the first draw of each effect that can make its share of the gap, else the one that comes nearest."""
+        share, sizes = self._wanted / len(self._p.causes), self._sizes(self._options["largest"])
+        drawn: dict[str, list[Draw]] = {}
+        for cause in self._p.causes:
+            rng = stream(self._settings, self._person.name, "gap", cause.name)
+            drawn[cause.name] = [
+                cause.form.draw(rng, about_of(self._p)) for _ in range(self._options["draws"])
+            ]
+        tried = [(c, draw, size) for c in self._p.causes for draw in drawn[c.name] for size in sizes]
+        reached = self._costs([self._of([one]) for one in tried])
+        for cause, costs in zip(
+            self._p.causes, reached.reshape(len(self._p.causes), -1, len(sizes)), strict=True
+        ):
+            able = np.flatnonzero(costs.max(axis=1) >= share)
+            pick = int(able[0]) if len(able) else int(np.argmax(costs.max(axis=1)))
+            cause.draw = drawn[cause.name][pick]
+            cause.severity = _size_at(share, sizes, costs[pick])
+
+    def _sizes(self, largest: float) -> np.ndarray:
+        """Sizes (k,) that are tried at once, each half as large again as the one before."""
+        return largest * _STEP ** -np.arange(self._options["sizes"], dtype=float)[::-1]
+
+    def _fit_sizes(self) -> None:
+        """Scale all effects together until the plain fit leaves the cost that was drawn."""
+        own, largest = [cause.severity for cause in self._p.causes], self._options["largest"]
+        factors = self._sizes(_STEP ** (self._options["sizes"] // 2))
+        for _ in range(2):
+            tried = [[min(factor * size, largest) for size in own] for factor in factors]
+            costs = self._costs(
+                [
+                    self._of([(c, c.draw, s) for c, s in zip(self._p.causes, sizes, strict=True)])
+                    for sizes in tried
+                ]
+            )
+            best = int(np.argmin(np.abs(np.log(np.maximum(costs, 1e-9) / self._wanted))))
+            self.j = float(costs[best])
+            for cause, size in zip(self._p.causes, tried[best], strict=True):
+                cause.severity = size
+            near = _size_at(self._wanted, factors, costs)
+            factors = near * np.geomspace(0.9, 1.1, len(factors))
+
+    def _of(self, effects: Sequence[tuple[Cause, Draw, float]]) -> Applied:
+        return [(c.form, c.form.values(draw, size, about_of(self._p))) for c, draw, size in effects]
+
+    def _costs(self, effects: list[Applied]) -> np.ndarray:
+        """J (k,) that the refitted plain model leaves of the first dynamic trial; 0 where nothing can be simulated."""
+        fits = gaps(self._world, [self._p] * len(effects), effects)
+        return np.array([float(fit.train @ fit.train) if fit.usable else 0.0 for fit in fits])
+
+    def put_into(self, trials: Sequence[Trial]) -> None:
+        """Give neutral and dynamic trials their paths with the effects, and what is recorded of them before noise."""
+        effects, person = applied(self._p), self._person
+        setups = {}
+        for trial in self._p.motions:
+            setup = with_effects(self._p, trial, effects)
+            lower, upper = person.stops[person.operating_level]
+            setup.lower, setup.upper = np.maximum(setup.lower, lower), np.minimum(setup.upper, upper)
+            setups[trial] = setup
+        done = dict(
+            zip(
+                setups,
+                run(self._world.fine, list(setups.values()), self._world.stops, RATE_HZ),
+                strict=True,
+            )
+        )
+        for trial, paths in done.items():
+            if not np.isfinite(paths.left).all():
+                raise RuntimeError(f"{person.name} {trial}: the simulation with its sealed gap is unstable")
+        for one in trials:
+            if one.name in done:
+                path = setups[one.name].path
+                recording = record_of(self._p, one.name, path, done[one.name], effects)
+                one.path, one.truth, one.shown = path, done[one.name], partial(_markers, recording)
+
+    def truth(self) -> dict[str, Any]:
+        """Return what is sealed: effects with their quantities and sizes, and J of the plain fit without noise."""
+        causes = [
+            {
+                "effect": cause.form.family or cause.form.effect,
+                "form": cause.form.form,
+                "stage": cause.form.stage,
+                "parameters": cause.form.truth(
+                    cause.draw, cause.form.values(cause.draw, cause.severity, about_of(self._p))
+                ),
+                "times_the_largest_published": cause.severity,
+            }
+            for cause in self._p.causes
+        ]
+        return {"causes": causes, "j_wanted": self._wanted, "j_of_the_plain_fit": self.j}

@@ -56,7 +56,7 @@ MEANING = {
     "preload": "The strap rests elsewhere than in the neutral trial, so that it pulls from the start.",
     "joint_limit": "A stop: beyond some excursion something hard is in the way.",
     "quadratic_damping": "Damping that grows with the square of the speed.",
-    "added_mass": "The interface is heavier than in the robot's model.",
+    "added_mass": "The interface body is heavier than in the robot's model.",
     "base_compliance": "The robot's base gives way more, or less, than its model says.",
     "controller_reaction": "The robot's controller answers the force of the strap.",
     "tilt": "The floor is not level: gravity pulls the robot to one side.",

@@ -255,7 +255,7 @@ class StrapEvidence:
     @property
     def noise_source(self) -> str:
         """Source of the noise floor, in words."""
-        return "marker noise of the trials, simulated through the plant"
+        return "marker noise of the level in neutral, simulated through the plant"
 
     def floor_draws(self) -> np.ndarray:
         """J (draws,) of noise alone."""

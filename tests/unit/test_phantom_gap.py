@@ -81,12 +81,10 @@ def test_the_clean_cohort_has_none():
         ({"trials": {"dynamic_trials": 1}}, "dynamic"),
     ],
 )
-def test_a_gap_that_cannot_be_is_refused(tmp_path, own, place):
-    settings = _settings(tmp_path, own)
-    settings["trials"] |= {"walk_normal_trials": 0, "walk_robot_trials": 0, "sweep_s": 1.5}
-    settings["cohort"]["S01"]["tightness"] |= {"loosest_cm": 10, "tightest_cm": 10, "safe_comfortable_cm": 10}
-    with pytest.raises(InputError, match=place):
-        cohort.simulate_subject(settings, CONTROLLERS, ROBOT, "S01")
+def test_a_gap_that_cannot_be_is_refused_before_any_job(tmp_path, own, place):
+    with pytest.raises(InputError, match=place) as refused:
+        _settings(tmp_path, own)
+    assert "own.yaml" in str(refused.value)
 
 
 def test_a_file_extends_one_that_says_everything(tmp_path):

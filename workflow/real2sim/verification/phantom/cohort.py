@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from real2sim.files import write_text
-from real2sim.verification.phantom import exports, gap
+from real2sim.verification.phantom import exports
 from real2sim.verification.phantom.exports import Trial
 from real2sim.verification.phantom.gap import Gap
 from real2sim.verification.phantom.motions import Motion, pelvis_path
@@ -78,7 +78,6 @@ def simulate_subject(
     settings: dict[str, Any], controllers: dict[str, Any], robot: Path, subject: str
 ) -> tuple[Person, list[Trial], dict[str, np.ndarray], Gap | None]:
     """All trials of a person with their true paths, the robot's start pose (6,) per trial, and their sealed gap."""
-    gap.check(settings, trial_names(settings, subject))
     plant = Robot(robot, settings["simulation"]["step_s"])
     person = draw_person(settings, subject, float(plant.rest_middle(np.zeros(6))[1][2]))
     trials, starts = [], {}

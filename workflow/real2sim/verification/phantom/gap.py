@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from real2sim.errors import InputError
 from real2sim.verification.phantom.exports import Trial
 from real2sim.verification.phantom.motions import Motion
 from real2sim.verification.phantom.person import Person, stream
@@ -25,7 +24,6 @@ from real2sim.verification.suite.gaps import gaps, record_of, with_effects
 from real2sim.verification.suite.measurement import Recording
 from real2sim.verification.suite.plan import Case
 from real2sim.verification.suite.setups import run
-from real2sim.verification.suite.severity import HELD_OUT, TRAIN
 from real2sim.verification.suite.synthetic import (
     RATE_HZ,
     Applied,
@@ -56,29 +54,6 @@ def _size_at(wanted: float, sizes: np.ndarray, costs: np.ndarray) -> float:
             share = np.log(wanted / low) / np.log(high / low)
             return float(sizes[i] * (sizes[i + 1] / sizes[i]) ** share)
     return float(sizes[int(np.argmin(np.abs(np.log(np.maximum(costs, 1e-9) / wanted))))])
-
-
-def check(settings: dict[str, Any], trials: Sequence[str]) -> None:
-    """Raise InputError where a gap is asked for that cannot be: of ``trials`` by name, for config/phantom.yaml."""
-    if not settings["gap"]["enabled"]:
-        return
-    unknown = [name for name in settings["gap"]["prior"] if name not in FORMS]
-    if unknown:
-        raise InputError(
-            "config/phantom.yaml",
-            "gap.prior",
-            ", ".join(unknown),
-            f"effects of the diagnosis suite: {', '.join(sorted(FORMS))}",
-            "Correct the name.",
-        )
-    if not {TRAIN, HELD_OUT} <= set(trials):
-        raise InputError(
-            "config/phantom.yaml",
-            "trials.dynamic_trials",
-            "fewer than two dynamic trials",
-            "two, one that is fitted and one that is predicted",
-            "Plan two, or set gap.enabled: false.",
-        )
 
 
 class Gap:

@@ -8,6 +8,7 @@ from typing import Any
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.recording.subjects import Subject, TrialFiles
+from real2sim.verification.suite.plan import EFFECTS
 
 
 def read_settings(source: Path) -> dict[str, Any]:
@@ -27,7 +28,31 @@ def read_settings(source: Path) -> dict[str, Any]:
                 "Name that file.",
             )
         own = _merged(base, own)
-    return validated(own, "phantom", source)
+    settings = validated(own, "phantom", source)
+    if settings["gap"]["enabled"]:
+        _check_gap(settings, source)
+    return settings
+
+
+def _check_gap(settings: dict[str, Any], source: Path) -> None:
+    """Raise InputError where a gap is asked for that cannot be made."""
+    unknown = [name for name in settings["gap"]["prior"] if name not in EFFECTS]
+    if unknown:
+        raise InputError(
+            source,
+            "gap.prior",
+            ", ".join(unknown),
+            f"effects of the catalogue: {', '.join(EFFECTS)}",
+            "Correct the name.",
+        )
+    if settings["trials"]["dynamic_trials"] < 2:
+        raise InputError(
+            source,
+            "trials.dynamic_trials",
+            f"{settings['trials']['dynamic_trials']} with gap.enabled: true",
+            "two, one that is fitted and one that is predicted",
+            "Plan two, or set gap.enabled: false.",
+        )
 
 
 def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 
 import mujoco
@@ -9,6 +10,8 @@ from mujoco.batch import Batch
 
 # What MuJoCo says of a simulation with values that it does not bear
 _UNBEARABLE = ("simulation is unstable", "Inertia matrix is too close to singular")
+# Warnings that this process has shown
+_SAID: set[str] = set()
 
 
 def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bool = False) -> Batch:
@@ -26,5 +29,9 @@ def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bo
 
 
 def _warn(text: str) -> None:
-    if not any(said in text for said in _UNBEARABLE):
-        print(f"MuJoCo: {text}", file=sys.stderr, flush=True)
+    # places and times differ from one to the next
+    kind = re.sub(r"[-\d.e+]+", "", text)
+    if kind in _SAID or any(said in text for said in _UNBEARABLE):
+        return
+    _SAID.add(kind)
+    print(f"MuJoCo: {text} (said once; more of the same are not shown)", file=sys.stderr, flush=True)

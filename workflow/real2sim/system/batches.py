@@ -30,7 +30,7 @@ def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bo
 
 def _warn(text: str) -> None:
     # places and times differ from one to the next
-    kind = re.sub(r"[-\d.e+]+", "", text)
+    kind = re.sub(r"-?\d[\d.e+-]*", "", text)
     if kind in _SAID or any(said in text for said in _UNBEARABLE):
         return
     _SAID.add(kind)

@@ -6,7 +6,8 @@
 Compares every diagnosis.json with the sealed truth of its phantom person. *Named*: the answer's effects are the sealed
 ones; *in the group*: each sealed one is named or among those that the answer says cannot be told from it. *Closed* is
 the share of J above its noise floor that the named effects take away on the trial that was not fitted. *Cut* is the RMS
-error of ln K and ln D with the plain model over that with the named effects.
+error of ln K and ln D with the plain model over that with the named effects; the error of those that the answer calls
+determined stands beside it.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ def row(person: str, answer: dict[str, Any], truth: dict[str, Any]) -> dict[str,
     named = set(answer["verdict_set"])
     gap, numbers = answer["gap"], answer["parameters"]
     true = np.array([truth["parameters"][name]["value"] for name in numbers])
-    errors = [
-        np.sqrt(np.mean(np.log(np.array([numbers[name][key] for name in numbers]) / true) ** 2))
-        for key in ("base", "with_effect")
-    ]
+    off = {
+        key: np.log(np.array([n[key] for n in numbers.values()]) / true) for key in ("base", "with_effect")
+    }
+    errors = [float(np.sqrt(np.mean(off[key] ** 2))) for key in off]
+    sure = np.array([n["verdict"] == "determined" for n in numbers.values()])
     plain, floor, left = gap["J_base"], gap["J_floor"], gap["J_with_effect"]
     return {
         "person": person,
@@ -47,6 +49,10 @@ def row(person: str, answer: dict[str, Any], truth: dict[str, Any]) -> dict[str,
         "ln_error_plain": errors[0],
         "ln_error_with_effects": errors[1],
         "cut": errors[0] / errors[1],
+        "determined": int(sure.sum()),
+        "ln_error_determined": float(np.sqrt(np.mean(off["with_effect"][sure] ** 2)))
+        if sure.any()
+        else np.nan,
     }
 
 

@@ -85,7 +85,10 @@ def settings_read() -> dict[str, list[str]]:
                     whole = phantom.keys() <= given.keys()
                     keys = ["config/phantom.yaml"] if whole else _keys_of(given, study)
                     out.setdefault(name, set()).update(keys)
-    return {name: sorted(keys) for name, keys in out.items() if keys}
+    # a dry run lists jobs in no order that lasts; the rules' files have one
+    order = list(docstrings())
+    ordered = sorted(out, key=lambda name: (order.index(name) if name in order else -1, name))
+    return {name: sorted(out[name]) for name in ordered if out[name]}
 
 
 def _planned_with(study: dict[str, Any]) -> Iterator[str]:
@@ -186,7 +189,10 @@ def main() -> int:
     """Write the page, or with --check say whether it is current."""
     made = page()
     if "--check" in sys.argv:
-        return 0 if PAGE.exists() and made == PAGE.read_text(encoding="utf-8") else 1
+        if PAGE.exists() and made == PAGE.read_text(encoding="utf-8"):
+            return 0
+        print(f"{PAGE.relative_to(ROOT)} is not what {Path(__file__).name} writes: run it", file=sys.stderr)
+        return 1
     PAGE.write_text(made, encoding="utf-8")
     return 0
 

@@ -15,12 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from real2sim.configuration import validated
-from real2sim.verification.phantom.cohort import robot_controller
-from real2sim.verification.phantom.motions import pelvis_path
+from real2sim.verification.phantom.cohort import prepare, robot_controller
 from real2sim.verification.phantom.person import draw_person, stream
 from real2sim.verification.phantom.physics import Robot
 from real2sim.verification.phantom.plan import read_settings
-from real2sim.verification.phantom.tasks import motion_of
 from real2sim.verification.suite.forms import FORMS
 from real2sim.verification.suite.gaps import gaps
 from real2sim.verification.suite.plan import EFFECTS, Case
@@ -37,19 +35,16 @@ _BATCH = 60
 def synthetic(settings: dict, controllers: dict, name: str, robot: Robot) -> Synthetic:
     """Return a person of the phantom with neutral and dynamic trials."""
     person = draw_person(settings, name, float(robot.rest_middle(np.zeros(6))[1][2]))
-    rotation, position = robot.rest_middle(np.zeros(6))
-    pelvis = rotation @ person.rest_rotation.T
-    origin = position - pelvis @ person.rest_position
-    motions = {trial: motion_of(settings, person, trial) for trial in TRIALS}
-    tail = settings["simulation"]["tail_s"]
+    start = np.zeros(6)
+    trials = {trial: prepare(settings, person, robot, trial, start) for trial in TRIALS}
     return Synthetic(
         Case(name, "gap", (), None),
         person,
         settings,
-        motions,
-        {t: pelvis_path(m, 0.0, pelvis, origin, person.pivot, tail) for t, m in motions.items()},
-        {t: np.zeros(6) for t in TRIALS},
-        {t: robot_controller(settings, controllers, "dynamic", np.zeros(6)) for t in TRIALS},
+        {name: trial.motion for name, trial in trials.items()},
+        {name: trial.path for name, trial in trials.items()},
+        dict.fromkeys(TRIALS, start),
+        {name: robot_controller(settings, controllers, "dynamic", start) for name in TRIALS},
         None,
         (1.0, 1.0),
         [],

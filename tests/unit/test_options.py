@@ -16,6 +16,7 @@ from mypy.find_sources import create_source_list
 from mypy.nodes import IndexExpr
 from mypy.options import Options
 from mypy.types import LiteralType, TypedDictType, UnionType, get_proper_type
+from real2sim.inference.parameters import PARAMETERS
 
 ROOT = Path(__file__).parents[2]
 LIBRARY = ROOT / "workflow" / "real2sim"
@@ -69,22 +70,22 @@ def _literal(of):
 class _Words:
     """Strings, names of fields and of arguments in the library, but for the types of the settings themselves.
 
-    A string with gaps stands for every one that fills them, where it says more than a letter itself.
+    A key is also found that is made where it is looked up, by its constant part: ``x[f"{kind}_trials"]``.
     """
 
     def __init__(self):
-        self._exact: set[str] = set()
-        self._gaps: set[str] = set()
+        self._exact: set[str] = set(PARAMETERS)
+        self._made: set[str] = set()
         for path in LIBRARY.rglob("*.py"):
             if path.name != "settings.py":
                 self._take(ast.parse(path.read_text(encoding="utf-8")))
 
     def _take(self, tree: ast.AST) -> None:
         for node in ast.walk(tree):
-            if isinstance(node, ast.JoinedStr):
-                own = [v.value if isinstance(v, ast.Constant) else None for v in node.values]
-                if sum(len(part) for part in own if part is not None) > 1:
-                    self._gaps.add("".join("[a-z_]+" if part is None else re.escape(part) for part in own))
+            if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.JoinedStr):
+                own = [v.value if isinstance(v, ast.Constant) else None for v in node.slice.values]
+                if any(part is not None and part.strip("_") for part in own):
+                    self._made.add("".join("[a-z_]+" if part is None else re.escape(part) for part in own))
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 self._exact.add(node.value)
             elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
@@ -93,7 +94,7 @@ class _Words:
                 self._exact.add(node.arg)
 
     def __contains__(self, word: str) -> bool:
-        return word in self._exact or any(re.fullmatch(gap, word) for gap in self._gaps)
+        return word in self._exact or any(re.fullmatch(made, word) for made in self._made)
 
 
 def _rules() -> str:

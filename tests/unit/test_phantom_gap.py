@@ -49,7 +49,7 @@ def test_the_plain_fit_costs_what_was_drawn(simulated):
     assert low <= truth["j_wanted"] <= high
     assert truth["j_of_the_plain_fit"] == pytest.approx(truth["j_wanted"], rel=0.1)
     assert {cause["effect"] for cause in truth["causes"]} == {"soft_tissue", "tilt"}
-    assert all(0 < c["times_the_largest_published"] <= settings["gap"]["largest"] for c in truth["causes"])
+    assert all(0 < c["severity"] <= settings["gap"]["largest"] for c in truth["causes"])
 
 
 def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):

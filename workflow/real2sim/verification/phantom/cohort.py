@@ -83,7 +83,7 @@ def simulate_subject(
     trials, starts = [], {}
     for name in trial_names(settings, subject):
         starts[name] = _place(settings, person, name)
-        trials.append(_prepare(settings, person, plant, name, starts[name]))
+        trials.append(prepare(settings, person, plant, name, starts[name]))
     with_robot = [t for t in trials if has_log(t.name)]
     law = _law(settings, person, [t.name for t in with_robot])
     hands = [robot_controller(settings, controllers, t.kind, starts[t.name]) for t in with_robot]
@@ -183,7 +183,8 @@ def _path_from_start(
     return pelvis_path(motion, float(start[2]), pelvis, position - pelvis @ rest_position, pivot, tail)
 
 
-def _prepare(settings: dict[str, Any], person: Person, plant: Robot, name: str, start: np.ndarray) -> Trial:
+def prepare(settings: dict[str, Any], person: Person, plant: Robot, name: str, start: np.ndarray) -> Trial:
+    """Return a trial before it is simulated: what the person does, and the pelvis' path from ``start`` (6,)."""
     motion = motion_of(settings, person, name)
     tail = settings["simulation"]["tail_s"]
     path = _path_from_start(

@@ -20,18 +20,17 @@ from real2sim.verification.phantom.person import Person, stream
 from real2sim.verification.phantom.physics import Controller, PelvisPath, Robot
 from real2sim.verification.suite.effects import Draw
 from real2sim.verification.suite.forms import FORMS
-from real2sim.verification.suite.gaps import gaps, record_of, with_effects
+from real2sim.verification.suite.gaps import gaps, record_of, run_keys, with_effects
 from real2sim.verification.suite.measurement import Recording
 from real2sim.verification.suite.plan import Case
-from real2sim.verification.suite.setups import run
 from real2sim.verification.suite.synthetic import (
-    RATE_HZ,
     Applied,
     Cause,
     Synthetic,
     World,
     about_of,
     applied,
+    cause_truth,
     describe,
     linearise,
 )
@@ -169,13 +168,7 @@ class Gap:
             lower, upper = person.stops[person.operating_level]
             setup.lower, setup.upper = np.maximum(setup.lower, lower), np.minimum(setup.upper, upper)
             setups[trial] = setup
-        done = dict(
-            zip(
-                setups,
-                run(self._world.fine, list(setups.values()), self._world.stops, RATE_HZ),
-                strict=True,
-            )
-        )
+        done = run_keys(self._world.fine, self._world.stops, setups)
         for trial, paths in done.items():
             if not np.isfinite(paths.left).all():
                 raise RuntimeError(f"{person.name} {trial}: the simulation with its sealed gap is unstable")
@@ -187,16 +180,5 @@ class Gap:
 
     def truth(self) -> dict[str, Any]:
         """Return what is sealed: effects with their quantities and sizes, and J of the plain fit without noise."""
-        causes = [
-            {
-                "effect": cause.form.family or cause.form.effect,
-                "form": cause.form.form,
-                "stage": cause.form.stage,
-                "parameters": cause.form.truth(
-                    cause.draw, cause.form.values(cause.draw, cause.severity, about_of(self._p))
-                ),
-                "times_the_largest_published": cause.severity,
-            }
-            for cause in self._p.causes
-        ]
+        causes = [cause_truth(self._p, cause) for cause in self._p.causes]
         return {"causes": causes, "j_wanted": self._wanted, "j_of_the_plain_fit": self.j}

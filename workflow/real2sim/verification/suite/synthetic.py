@@ -12,10 +12,10 @@ import numpy as np
 from real2sim.verification.phantom import exports
 from real2sim.verification.phantom.motions import Motion
 from real2sim.verification.phantom.person import PARAMETER_NAMES, Person
-from real2sim.verification.phantom.physics import Controller, PelvisPath, Robot, TruePaths
+from real2sim.verification.phantom.physics import AXES, Controller, PelvisPath, Robot, TruePaths
 from real2sim.verification.suite.effects import Context, Draw, Form
 from real2sim.verification.suite.measurement import pelvis_markers, replayed_path
-from real2sim.verification.suite.plan import Case, stream
+from real2sim.verification.suite.plan import EFFECTS, Case, stream
 from real2sim.verification.suite.random_forms import posture
 from real2sim.verification.suite.setups import Setup, run, run_centres
 from real2sim.verification.suite.severity import HELD_OUT, TRAIN, Refit, Search, perturbed, refit_of
@@ -205,3 +205,18 @@ def about_of(p: Synthetic) -> Context:
 def applied(p: Synthetic) -> Applied:
     """Return the causes of a person with their quantities."""
     return [(c.form, c.form.values(c.draw, c.severity, about_of(p))) for c in p.causes]
+
+
+def cause_truth(p: Synthetic, cause: Cause) -> dict[str, Any]:
+    """Return what is sealed of an effect; its severity is in sizes of the largest that is published or carried."""
+    form = cause.form
+    return {
+        "effect": form.effect,
+        "family": form.family or (form.effect if form.effect in EFFECTS else None),
+        "axes": [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on],
+        "stage": form.stage,
+        "form": form.form,
+        "parameters": form.truth(cause.draw, form.values(cause.draw, cause.severity, about_of(p))),
+        "regime": form.regime,
+        "severity": cause.severity,
+    }

@@ -27,7 +27,7 @@ from real2sim.verification.suite.gaps import gaps, record_of, run_keys, with_eff
 from real2sim.verification.suite.measurement import (
     Recording,
 )
-from real2sim.verification.suite.plan import EFFECTS, Case, case_names, cases, stream
+from real2sim.verification.suite.plan import Case, case_names, cases, stream
 from real2sim.verification.suite.random_forms import RandomForm
 from real2sim.verification.suite.severity import (
     HELD_OUT,
@@ -41,6 +41,7 @@ from real2sim.verification.suite.synthetic import (
     World,
     about_of,
     applied,
+    cause_truth,
     describe,
     linearise,
     setup_of,
@@ -415,7 +416,12 @@ def _truth(
     return {
         "id": p.case.id,
         "stratum": p.case.stratum,
-        "effects": [_cause_truth(p, cause) | _law_truth(p, cause, dynamic) for cause in p.causes],
+        "effects": [
+            cause_truth(p, cause)
+            | {"visibility": {"target": p.case.target, "alone": cause.rho}}
+            | _law_truth(p, cause, dynamic)
+            for cause in p.causes
+        ],
         "visibility": {"target": p.case.target, "predicted": p.rho},
         "regimes": shares,
         "floor": {TRAIN: p.refit.floor_train, HELD_OUT: p.refit.floor_held_out},
@@ -432,22 +438,6 @@ def _truth(
             "position_m": p.person.rest_position.tolist(),
         },
         "trials": notes,
-    }
-
-
-def _cause_truth(p: Synthetic, cause: Cause) -> dict[str, Any]:
-    form = cause.form
-    values = form.values(cause.draw, cause.severity, about_of(p))
-    return {
-        "effect": form.effect,
-        "family": form.family or (form.effect if form.effect in EFFECTS else None),
-        "axes": [axis for axis, on in zip(AXES, cause.draw.axes, strict=True) if on],
-        "stage": form.stage,
-        "form": form.form,
-        "parameters": form.truth(cause.draw, values),
-        "regime": form.regime,
-        "severity": cause.severity,
-        "visibility": {"target": p.case.target, "alone": cause.rho},
     }
 
 

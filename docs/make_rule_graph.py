@@ -22,6 +22,8 @@ PAGE = ROOT / "docs" / "rules.md"
 TARGETS = ("all", "diagnosis", "motion", "twin", "suite")
 # asked for by name: one job of one rule, whose picture would say nothing
 FURTHER = ("results/twin/S06/twin.gif",)
+# everybody is diagnosed, so that no rule of the main job is left out
+STUDY = ("--config", "diagnosed=everyone")
 PLANNING = "(planning)"
 HEAD = """# The rules
 
@@ -53,7 +55,7 @@ def graph(target: str) -> dict[str, set[str]]:
 
 def _snakemake(*options: str) -> str:
     """Return what Snakemake writes to the standard output."""
-    command = [sys.executable, "-m", "snakemake", "--cores", "1", *options]
+    command = [sys.executable, "-m", "snakemake", "--cores", "1", *STUDY, *options]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
@@ -146,9 +148,10 @@ def docstrings() -> dict[str, tuple[str, str]]:
     out = {}
     for path in sorted((ROOT / "workflow" / "rules").glob("*.smk")):
         text = path.read_text(encoding="utf-8")
-        blocks = re.split(r"^(?=\s*rule\b)", text, flags=re.M)[1:]
+        blocks = re.split(r"^(?=\s*(?:use )?rule\b)", text, flags=re.M)[1:]
         for block in blocks:
-            name = re.match(r"\s*rule\s*(\w*)", block)
+            # one that is made of another has the second name
+            name = re.match(r"\s*(?:use rule \w+ as|rule)\s*(\w*)", block)
             doc = re.search(r'"""(.+?)(?:\n|""")', block)
             label = name[1] if name and name[1] else _generated(block)
             if doc:

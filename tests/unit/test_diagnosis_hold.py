@@ -171,7 +171,7 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
     ],
 )
 def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, looks, left, holds, other):
-    def search_pair(trials, *, settled=False):
+    def search_pair(trials, *, settled=False, complete=None):
         chi2 = (left if settled else 4000.0,) * 2
         found = Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880), None)
         return trials_module.Found(SimpleNamespace(train=SimpleNamespace(settled=settled)), found)

@@ -9,10 +9,10 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
-from real2sim.artefacts import write_json
-from real2sim.inference.parameters import PARAMETERS
+from real2sim.artefacts import write_json, write_table
 from real2sim.pages.report import FIGURES, report_page
 from real2sim.pages.validation import RECORD_KEYS
+from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_study
 from test_pages import _diagnosis, _Page
 
@@ -113,18 +113,34 @@ def test_a_section_stands_where_what_it_tells_of_exists(tmp_path):
     assert "Diagnosis" not in content
 
 
+def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):
+    _, given = report
+    explained = [tmp_path / "table1_priors.csv", tmp_path / "transfer.csv"]
+    columns = dict.fromkeys(PRIOR_COLUMNS, "2.5") | {
+        "parameter": "k_tx",
+        "n_subjects": "5",
+        "n_with_a_cause": "4",
+    }
+    write_table(explained[0], PRIOR_COLUMNS, [columns])
+    moved = dict.fromkeys(TRANSFER_COLUMNS, "0.5") | {"says": "J of a fit on its own trial", "published": ""}
+    write_table(explained[1], TRANSFER_COLUMNS, [moved])
+    out = tmp_path / "report.html"
+    report_page(**given, title="Explained", out=out, explained=explained)
+    page, _ = _parsed(out)
+    assert "The same with the diagnosed causes in the model" in page.text
+    assert "4 of 5 calibration people have a diagnosed cause" in page.text
+    assert "transfer.csv" in page.text
+
+
 def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeypatch):
     path, given = report
     monkeypatch.setattr("real2sim.pages.report.MANY_PEOPLE", 2)
     monkeypatch.setattr("real2sim.pages.report.MANY_FILES", 2)
     out = tmp_path / "report.html"
-    answer = _diagnosis()
-    answer["parameters"] = dict.fromkeys(PARAMETERS, answer["parameters"]["k_tx"])
-    write_json(tmp_path / "diagnosis.json", answer)
+    write_json(tmp_path / "diagnosis.json", _diagnosis())
     diagnoses = [tmp_path / "diagnosis.json"] * 3
     report_page(**given, title="Many", out=out, diagnoses=diagnoses)
     page, content = _parsed(out)
-    assert "The same with the diagnosed causes in the model" in page.text
     assert page.open == []
     assert page.text.count("5 people, one by one") == 6
     assert "The verdicts on 4 people one by one stand in the table below" in page.text

@@ -31,6 +31,7 @@ COMMANDS = {
     "joint-limits": "real2sim.study.limits:joint_limits",
     "step-study": "real2sim.study.step_study:step_study",
     "fit": "real2sim.study.fit:fit_trial",
+    "fit-with-effects": "real2sim.study.explained:fit_with_effects",
     "assessment": "real2sim.study.assessment:assessment",
     "assessment-table": "real2sim.study.assessment:assessment_table",
     "noise-floor": "real2sim.study.noise_floor:noise_floor",

@@ -291,6 +291,13 @@ def where_diagnosed(wildcards):
     return f"results/diagnosis/{wildcards.subject}/diagnosis.json" if wildcards.subject in DIAGNOSED else []
 
 
+def causes_of(wildcards, input):
+    """Options that put diagnosed causes into the replays of a command, where its rule is given a diagnosis."""
+    if not input.get("diagnosis"):
+        return []
+    return given(diagnosis=input.diagnosis, neutral=Path(input.neutral).parent)
+
+
 def given(**options):
     """Options of a command for those inputs that there are."""
     return [part for name, path in options.items() if path for part in (f"--{name}", path)]

@@ -264,6 +264,11 @@ rule report_page:
         refined=REFINED,
         fits=fits_of(CALIBRATION),
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
+        explained=(
+            [f"results/paper/with_effects/{table}.csv" for table in ("table1_priors", "transfer")]
+            if len(EXPLAINED) > 1
+            else []
+        ),
         validation=VALIDATION_RECORDS,
     output:
         "results/report.html",
@@ -283,6 +288,7 @@ rule report_page:
         fits=lambda wildcards, input: braced(input.fits),
         bars=lambda wildcards, input: given(bars=input.bars),
         validation=lambda wildcards, input: given_all("validation", input.validation),
+        explained=lambda wildcards, input: given_all("explained", input.explained),
         code=code("report-page"),
     shell:
         "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"
@@ -290,4 +296,4 @@ rule report_page:
         " --identifiability {input.identifiability:q} --icc {input.icc:q} --classes {input.classes:q}"
         " --priors {input.priors:q} --anthropometrics {input.anthropometrics:q} --loso {input.loso:q}"
         " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q} --refined {input.refined:q}"
-        " --fits {params.fits} --diagnoses {input.diagnoses:q} {params.validation:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"
+        " --fits {params.fits} --diagnoses {input.diagnoses:q} {params.validation:q} {params.explained:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

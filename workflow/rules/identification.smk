@@ -162,8 +162,9 @@ rule cross_trial:
     params:
         settings=FIT_SETTINGS,
         robot=ROBOT_CONTENT,
+        causes=causes_of,
         code=code("cross-trial"),
     shell:
         "python -m real2sim cross-trial --subject {wildcards.subject} --fits {input.fits:q} --poses {input.poses:q}"
         " --markers {input.markers:q} --limits {input.limits:q} --step {input.step:q} --robot {input.robot:q}"
-        " --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
+        " {params.causes:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -1,8 +1,7 @@
 """The paper by its numbers: tables, figures and claims beside what is published.
 
 Inputs:  figures and tables of the stages, resources/published.
-Outputs: results/paper/figure*.{png,pdf}, table*.{csv,tex}, cross_trial.{csv,tex}, claims.{csv,tex}, numbers.tex;
-         with_effects/table1_priors.{csv,tex} where at least two calibration people are diagnosed.
+Outputs: results/paper/figure*.{png,pdf}, table*.{csv,tex}, cross_trial.{csv,tex}, claims.{csv,tex}, numbers.tex.
 Steps:   figures to their numbers; tables with the published figures beside ours; every claim judged.
          Tables II and III and figures 5 and 6 are of the first person who is kept for validation and walks.
 """
@@ -20,10 +19,6 @@ if WALKER:
     PAPER_FIGURES["figure6_gait"] = f"results/twin/{WALKER}/gait"
 PAPER_TABLES = ["table1_priors", "table2_interface", "table3_gait", "cross_trial"]
 TWIN_TABLES = {name: f"results/twin/{name}.csv" if TWINS else [] for name in ("gait", "interface", "bars")}
-
-# Calibration people whose diagnosis is part of the main job, and the paper's tables with what was found in the model
-EXPLAINED = [name for name in CALIBRATION if name in REPORTED]
-WITH_EFFECTS = [f"results/paper/with_effects/table1_priors.{kind}" for kind in ("csv", "tex")]
 
 
 rule paper_figures:
@@ -76,30 +71,6 @@ rule paper_tables:
     shell:
         "python -m real2sim paper-tables --priors {input.priors:q} --cross-trial {input.cross_trial:q}"
         " --published {input.published:q} {params.twin:q} --out {output:q} 2>&1 | tee {log:q}"
-
-
-rule with_effects:
-    """Table I with the plain model and with the diagnosed causes in it, of the calibration people."""
-    input:
-        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=EXPLAINED),
-        published=f"{PUBLISHED}/table1_priors.csv",
-    output:
-        WITH_EFFECTS,
-    log:
-        "logs/paper/with_effects.log",
-    benchmark:
-        "logs/benchmarks/paper/with_effects.tsv"
-    conda:
-        "../envs/real2sim.yaml"
-    threads: 1
-    resources:
-        mem_mb=600,
-        runtime=10,
-    params:
-        code=code("with-effects"),
-    shell:
-        "python -m real2sim with-effects --diagnoses {input.diagnoses:q} --published {input.published:q}"
-        " --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule claims:

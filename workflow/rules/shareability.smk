@@ -95,12 +95,13 @@ rule loso:
     params:
         settings=settings_of("identification", "plant", "robot", "statistics"),
         robot=ROBOT_CONTENT,
+        causes=causes_of,
         code=code("loso"),
     shell:
         "python -m real2sim loso --subject {wildcards.subject} --fits {input.fits:q} --cohort {input.cohort:q}"
         " --poses {input.poses:q} --markers {input.markers:q} --limits {input.limits:q}"
         " --step {input.step:q} --robot {input.robot:q} --published {input.published:q} --settings {params.settings:q}"
-        " --out {output:q} 2>&1 | tee {log:q}"
+        " {params.causes:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule loso_table:

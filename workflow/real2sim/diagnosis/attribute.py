@@ -124,18 +124,24 @@ def attribute(
     progress: Callable[[str], None],
     places: Sequence[Placed] | None = None,
     calibration: DiagnosisCalibrationSettings | None = None,
+    complete: Hypothesis | None = None,
 ) -> Attribution:
     """Plain fit, then every effect alone, then pairs where one alone leaves more than noise.
 
     ``start`` (12,) are ln-parameters; ``settings`` is the slice ``diagnosis.search`` of the configuration; ``places``
     are the effects to try, everything everywhere by default. With ``calibration`` (``diagnosis.calibration``), no other
     effect is looked for where less is left than the decision asks of one: only more axes of the same.
+    ``complete`` is a set that leaves nothing but noise under another initial state: only its neighbours are tried.
     """
     search = Search(pair, settings)
     plain = search.fit((), start, final=True)
     count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
     everything = candidates(pair.system, pair.train.scales) if places is None else list(places)
+    if complete is not None:
+        hypotheses = _neighbours(search, plain, complete, everything, settings)
+        hypotheses = _without_spikes(search, plain, hypotheses, everything)
+        return Attribution(plain, hypotheses, [], count, search.pair, search.evaluations)
     singles = search.screen(plain, everything)
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
@@ -166,6 +172,45 @@ def attribute(
         hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
+
+
+def _neighbours(
+    search: Search,
+    plain: Hypothesis,
+    complete: Hypothesis,
+    places: Sequence[Placed],
+    settings: DiagnosisSearchSettings,
+) -> list[Hypothesis]:
+    """A set that is ``complete`` under another initial state, without each effect, and with another in its place.
+
+    An initial state does what one static effect does: a robot that hangs in balance looks like one that is let go on a
+    tilted floor. So what explains as much with no more effects differs from the complete set by one of them.
+    """
+    own = {placed.key: placed for placed in places}
+    effects = tuple(own[placed.key] for placed in complete.effects)
+    # the units of the numbers are those of the plain fit, which is another one under another state
+    parts = [
+        new.searched(old.values(x[None]))[0]
+        for new, old, x in zip(effects, complete.effects, complete.split(), strict=True)
+    ]
+    out = [search.fit(effects, np.concatenate([complete.base, *parts]))]
+    taken = _keys(effects)
+    for member in range(len(effects)):
+        keep = [i for i in range(len(effects)) if i != member]
+        smaller = plain
+        if keep:
+            z = np.concatenate([out[0].base, *(parts[i] for i in keep)])
+            smaller = search.fit(tuple(effects[i] for i in keep), z)
+            out.append(smaller)
+        axes = effects[member].where.axes
+        rivals = [
+            p
+            for p in places
+            if p.key not in taken and _alike(effects[member], p) and (not axes or _rivals(effects[member], p))
+        ]
+        tried = search.screen(smaller, rivals)[: settings["swap_refits"]]
+        out += [search.fit_screened(option) for option in tried]
+    return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
 
 
 def _with_best_converged(

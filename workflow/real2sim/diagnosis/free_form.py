@@ -36,6 +36,7 @@ from real2sim.effects.families import (
     with_rhythm,
 )
 from real2sim.effects.planned import FamilyForce
+from real2sim.inference.least_squares import Tangent
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisFreeFormSettings, DiagnosisSearchSettings
@@ -189,6 +190,12 @@ class Library:
             unit += f" per {per}" + (f"^{exponent}" if exponent != 1 else "")
         return scale * term.factor, unit
 
+    def holds(self, family: AnyFamily) -> bool:
+        """Return whether slopes by the coefficients of a family are among those of the library's columns."""
+        if isinstance(family, Displacement):
+            return family in self.displacements
+        return all((t.joint, t.name) in self.index for row in family.terms for t in row)
+
     def only(self, forces: Sequence[Family]) -> Library:
         """Return the same library with some of its families of forces and no displacements."""
         out = copy(self)
@@ -215,6 +222,13 @@ class TrialSlopes:
     base: np.ndarray
     columns: np.ndarray
     displaced: dict[str, np.ndarray]
+
+    def by(self, family: AnyFamily, library: Library) -> np.ndarray:
+        """Return the slopes (r, p) by the coefficients of a family."""
+        if isinstance(family, Displacement):
+            return self.displaced[family.name]
+        rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
+        return np.stack([self.columns[:, row].sum(axis=1, dtype=float) for row in rows], axis=1)
 
     def products(self, columns: np.ndarray) -> Products:
         """Return the products of some columns (r, p)."""
@@ -507,20 +521,48 @@ class _Trial:
     longest: float
     progress: Callable[[str], None]
 
-    def refitted(self, others: tuple[AnyFamily, ...], added: Screened, base: Hypothesis) -> Law:
-        """Return a screened family refitted beside those that a hypothesis holds."""
+    def refitted(
+        self,
+        others: tuple[AnyFamily, ...],
+        added: Screened,
+        base: Hypothesis,
+        known: Slopes | None = None,
+    ) -> Law:
+        """Return a screened family refitted beside those that a hypothesis holds.
+
+        ``known`` are slopes at that hypothesis, which spare a refit its first Jacobian.
+        """
         placed = self.library.placed(added.family, added.scale)
         effects, families_ = (*base.effects, placed), (*others, added.family)
         lower, upper = self.library.system.bounds()
         z = np.concatenate([base.z + added.step, np.clip(added.coefficients, -_BOUND, _BOUND)])
         z[: len(lower)] = np.clip(z[: len(lower)], lower, upper)
-        fitted = self.search.fit(effects, z)
+        tangent = None
+        if known is not None and self.library.holds(added.family):
+            tangent = self._tangent(known, added.family, placed, base)
+        fitted = self.search.fit(effects, z, tangent=tangent)
         if max(fitted.chi2) >= FAILED:
             fitted = self.search.fit(effects, np.concatenate([base.z, np.zeros(len(added.coefficients))]))
         if max(fitted.chi2) >= FAILED:
             return Law(families_, fitted, -np.inf)
         law = Law(families_, fitted, ln_evidence(self.pair, fitted, self.longest) - self.origin)
         return self._rescaled(law, added)
+
+    def _tangent(self, known: Slopes, family: AnyFamily, placed: Placed, base: Hypothesis) -> Tangent:
+        """Tangent of the fitted trial at a hypothesis with a family that does nothing yet."""
+        own, data, priors = placed.of_trial(held_out=False), known.fitted, known.prior_residuals
+        columns = np.zeros((len(data.residuals), len(own)))
+        columns[:, own] = data.by(family, self.library)
+        count = len(own)
+        jacobian = np.block(
+            [
+                [data.base, columns],
+                [known.prior_base, np.zeros((len(priors), count))],
+                [np.zeros((count, data.base.shape[1])), np.diag(1 / placed.prior_sd())],
+            ]
+        )
+        residuals = np.concatenate([data.residuals, priors, np.zeros(count)])
+        return Tangent(np.concatenate([base.z, np.zeros(count)]), residuals, jacobian)
 
     def _rescaled(self, law: Law, added: Screened) -> Law:
         """Return the law with a wider prior of its last family, as long as it asks for that and gains by it.
@@ -602,9 +644,11 @@ class Measured:
         axes = {axis for placed in named.effects for axis in placed.axes}
         good = {s.family.key for s in self.screened[: options["promising"]]}
         library = self.library.only([f for f in self.library.forces if axes & set(f.axes) or f.key in good])
-        further = screen(slopes(trial.pair, library, named), library, named, trial.longest)
+        known = slopes(trial.pair, library, named)
+        further = screen(known, library, named, trial.longest)
         alone = Law((), named, ln_evidence(trial.pair, named, trial.longest) - trial.origin)
-        tried = [trial.refitted((), s, named) for s in _diverse(further, options["most"])]
+        of_library = replace(trial, library=library)
+        tried = [of_library.refitted((), s, named, known) for s in _diverse(further, options["most"])]
         price = np.log(len(further)) if further else 0.0
         kept = [
             law
@@ -631,6 +675,7 @@ def measure(
     options: DiagnosisFreeFormSettings,
     search_options: DiagnosisSearchSettings,
     progress: Callable[[str], None],
+    reach: float = np.inf,
 ) -> Measured:
     """Return the laws that explain a gap without names.
 
@@ -641,6 +686,8 @@ def measure(
         least, which are nearer to the truth than those of the plain fit.
     options, search_options
         Slices ``diagnosis.free_form`` and ``diagnosis.search`` of the configuration.
+    reach
+        Chi-squared of both trials: a family whose deviance on the tangent is larger is not refitted.
     """
     longest = search_options["longest_step"]
     library = Library(pair, options["band_share"])
@@ -651,7 +698,9 @@ def measure(
     known = slopes(pair, library, base)
     screened = screen(known, library, base, longest)
     trial = _Trial(pair, library, search, ln_evidence(pair, plain, longest), longest, progress)
-    chosen = [smoothed(s, known, library, base, longest) for s in _diverse(screened, options["refits"])]
+    alone = _Tangent(known, *_room(library, base, longest)).both.alone
+    within = [s for s in screened if alone - 2 * s.gain <= reach]
+    chosen = [smoothed(s, known, library, base, longest) for s in _diverse(within, options["refits"])]
     # some hundred MB that nothing below asks for
     del known
     laws = [trial.refitted((), s, base) for s in chosen]
@@ -725,7 +774,8 @@ def _grown(
             smoothed(s, known, library, best.hypothesis, trial.longest)
             for s in _diverse(further, options["most"])
         ]
-        tried = [trial.refitted(best.families, s, best.hypothesis) for s in chosen]
+        of_library = replace(trial, library=library)
+        tried = [of_library.refitted(best.families, s, best.hypothesis, known) for s in chosen]
         tried = [
             law
             for law in tried

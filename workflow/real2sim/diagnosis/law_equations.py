@@ -67,7 +67,8 @@ class Products:
 class Equations:
     """Least squares in the base's parameters and the coefficients of one family.
 
-    For slopes ``base`` (r, n) and residuals (r,), and room of the parameters' steps (n,).
+    For slopes ``base`` (r, n) and residuals (r,), and room of the parameters' steps (n,). ``alone`` is the square that
+    the base leaves without a family.
     """
 
     def __init__(self, base: np.ndarray, residuals: np.ndarray, lower: np.ndarray, upper: np.ndarray):
@@ -76,7 +77,7 @@ class Equations:
         self._a[np.diag_indices_from(self._a)] += 1e-9
         self._b = base.T @ residuals
         self._square = float(residuals @ residuals)
-        self._alone = solved(self._a, self._b, lower, upper, self._square)[1]
+        self.alone = solved(self._a, self._b, lower, upper, self._square)[1]
 
     def solve(self, family: Products, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the step of the base (n,) and the coefficients (p,) for a prior ``sd`` (p,)."""
@@ -94,7 +95,7 @@ class Equations:
         """Return the prior scale of the largest evidence at weights (p,), and its gain in ln evidence on the base."""
         spread = _Spread(self._a, self._b, family, weights)
         occam = np.log1p(SCALES[:, None] ** 2 * spread.shares).sum(axis=1)
-        gains = 0.5 * (self._alone - self._left_at(family, weights) - occam)
+        gains = 0.5 * (self.alone - self._left_at(family, weights) - occam)
         best = int(np.argmax(gains))
         return float(SCALES[best]), float(gains[best])
 

@@ -26,7 +26,7 @@ from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Found, candidates_of
 
 if TYPE_CHECKING:
-    from real2sim.settings import DiagnosisSettings
+    from real2sim.settings import DiagnosisSearchSettings, DiagnosisSettings
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,23 @@ def misfit_of(
     if search.is_noise(named):
         return left
     progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: is its form right?")
-    measured = measure(
-        found.pair, plain, named.base, search, options["free_form"], options["search"], progress
-    )
+    free, searched = options["free_form"], options["search"]
+    reach = _reach(named, left.share, search.samples, searched)
+    measured = measure(found.pair, plain, named.base, search, free, searched, progress, reach)
     return replace(left, marked=True, measured=measured)
+
+
+def _reach(
+    named: Hypothesis, share: float, samples: tuple[int, int], settings: DiagnosisSearchSettings
+) -> float:
+    """Chi-squared of both trials beyond which a law is no rival of a named set that leaves a ``share`` of the gap.
+
+    As of an effect beside another that explains nearly everything.
+    """
+    if share >= settings["nearly_all"]:
+        return float("inf")
+    total = sum(samples)
+    return total + settings["far_behind"] * (sum(named.chi2) - total) + settings["out_of_reach"]
 
 
 def told_apart(

@@ -310,7 +310,11 @@ class Search:
             base = np.pad(here.residuals, (0, at.shape[1] - len(here.residuals)))
             logarithmic = any(parameter.log for parameter in placed.effect.parameters)
             slopes = None if logarithmic else _parabola(starts, at, base)
-            for i in np.flatnonzero(np.isfinite(at).all(axis=1)):
+            usable = np.flatnonzero(np.isfinite(at).all(axis=1))
+            if slopes is None and len(usable) > 1:
+                # the slopes of one start are asked for: of the one that promises most by the base's slopes alone
+                usable = usable[[self._promising_start(z[usable], at[usable], here, lower, upper)]]
+            for i in usable:
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
                 tangent = Beside(z[i], at[i], columns, here.jacobian)
                 step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
@@ -320,6 +324,21 @@ class Search:
                 break
         self.evaluations += residuals.evaluations
         return min(found, key=lambda s: s.predicted, default=None)
+
+    def _promising_start(
+        self, z: np.ndarray, at: np.ndarray, here: Tangent, lower: np.ndarray, upper: np.ndarray
+    ) -> int:
+        """Index of the start among points ``z`` (s, n + p) that the base alone brings lowest, by its slopes ``here``.
+
+        ``at`` (s, n_r) are the residuals at those points, ``lower`` and ``upper`` (n + p,) the bounds.
+        """
+        n, longest = len(here.z), self._settings["longest_step"]
+        nothing = np.empty((at.shape[1], 0))
+        costs = [
+            _bounded_step(Beside(point[:n], row, nothing, here.jacobian), lower[:n], upper[:n], longest)[1]
+            for point, row in zip(z, at, strict=True)
+        ]
+        return int(np.argmin(costs))
 
     def pairs(self, screened: Sequence[Screened], most: int) -> list[Screened]:
         """Predicted cost of pairs among single effects of the last screening, best first, ``most`` of them."""

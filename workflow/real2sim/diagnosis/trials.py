@@ -82,13 +82,14 @@ class Trials:
         z = Search(pair, search).fit((), z).z
         return _with_noise(pair, self.system.values(z), draws, search["seed"]), z
 
-    def attribute(self, pair: Pair, z: np.ndarray) -> Found:
-        """Search for the cause from the plain fit ``z`` (n,)."""
+    def attribute(self, pair: Pair, z: np.ndarray, complete: Hypothesis | None = None) -> Found:
+        """Search for the cause from the plain fit ``z`` (n,); ``complete``: see `attribute`."""
         options = self.options
         scales = pair.train.scales
         places = candidates(pair.system, scales) if self.places is None else self.places(pair)
         places = without_names(places, options["left_out"])
-        found = attribute(pair, z, options["search"], self.progress, places, options["calibration"])
+        search, calibration = options["search"], options["calibration"]
+        found = attribute(pair, z, search, self.progress, places, calibration, complete)
         pair = replace(found.pair, exchanged=pair.exchanged)
         return Found(pair, found, self._further(pair, found))
 
@@ -201,8 +202,11 @@ def looks_settled(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) -> 
     )
 
 
-def search_pair(trials: Trials, *, settled: bool = False) -> Found:
-    """Search for the cause; the trials change places where `is_shown_by_held_out_alone`."""
+def search_pair(trials: Trials, *, settled: bool = False, complete: Hypothesis | None = None) -> Found:
+    """Search for the cause; the trials change places where `is_shown_by_held_out_alone`.
+
+    ``complete``: see `attribute`.
+    """
     pair, z = trials.prepare(settled=settled)
     if is_shown_by_held_out_alone(pair, z, trials.options):
         trials.progress(
@@ -210,7 +214,7 @@ def search_pair(trials: Trials, *, settled: bool = False) -> Found:
         )
         pair, z = trials.exchanged.prepare(settled=settled)
         pair = replace(pair, exchanged=True)
-    return trials.attribute(pair, z)
+    return trials.attribute(pair, z, complete)
 
 
 def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
@@ -227,9 +231,20 @@ def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
         released.pair, released.attribution.plain, options
     ):
         return released, None
-    trials.progress("the robot may have been at rest against the strap: searched once more for that")
-    settled = search_pair(trials, settled=True)
+    complete = _complete(released, options)
+    how = "searched once more for that"
+    if complete is not None:
+        how = f"{complete.key} and its neighbours are tried there"
+    trials.progress(f"the robot may have been at rest against the strap: {how}")
+    settled = search_pair(trials, settled=True, complete=complete)
     return (settled, released) if settled.cost(options) < released.cost(options) else (released, settled)
+
+
+def _complete(found: Found, options: DiagnosisSettings) -> Hypothesis | None:
+    """The set of effects that leaves nothing but noise of both trials; None where none does."""
+    sets = found.attribution.hypotheses
+    best = min(sets, key=lambda h: sum(h.chi2), default=None)
+    return best if best is not None and Search(found.pair, options["search"]).is_noise(best) else None
 
 
 def search_both_ways(trials: Trials) -> Outcome:

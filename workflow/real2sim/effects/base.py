@@ -405,6 +405,12 @@ class Placed:
         log = np.array([p.log for p in self.effect.parameters], dtype=bool)
         return np.asarray(np.where(log, np.exp(np.where(log, x, 0.0)), x) * self._scale())
 
+    def searched(self, values: np.ndarray) -> np.ndarray:
+        """Searched numbers (m, p) of SI values (m, p), the inverse of `values`."""
+        log = np.array([p.log for p in self.effect.parameters], dtype=bool)
+        units = values / self._scale()
+        return np.asarray(np.where(log, np.log(np.where(log, units, 1.0)), units))
+
     def of_trial(self, *, held_out: bool) -> np.ndarray:
         """Return which of the parameters (p,) belong to the fitted trial, or to the held-out one."""
         here = ("", "held out" if held_out else "fitted")

@@ -104,10 +104,15 @@ class Answer:
     """The force of one controller in the course of a simulation of ``steps`` steps."""
 
     def __init__(self, law: Law, before: np.ndarray, step_s: float, steps: int):
-        self._law, self._before = law, before
+        self._law, self._before = law, before[:, None]
         self.hears = law.hears
         self._delay = law.delay[:, None] / step_s
         self._heard = np.empty((len(before), steps, before.shape[1]))
+        # rows one after the other, which one index reaches
+        self._flat, self._row = (
+            self._heard.reshape(-1, before.shape[1]),
+            steps * np.arange(len(before))[:, None],
+        )
         self._known = 0
 
     def plan(self, count: int) -> np.ndarray:
@@ -123,20 +128,26 @@ class Answer:
 
     def _late(self, first: int, count: int) -> np.ndarray:
         """Return the delayed input in ``count`` steps from ``first`` on, (m, count, j)."""
-        at = first + np.arange(count) - self._delay
+        at = np.arange(first, first + count) - self._delay
         last = self._known - 1
         if last < 1:
-            return np.repeat(self._before[:, None], count, axis=1)
-        row = np.arange(len(at))[:, None]
-        low = np.clip(np.floor(at).astype(int), 0, last - 1)
-        here, share = self._heard[row, low], (at - low)[..., None]
-        heard = here + np.minimum(share, 1) * (self._heard[row, low + 1] - here)
+            return np.repeat(self._before, count, axis=1)
+        low = np.minimum(np.maximum(np.floor(at).astype(int), 0), last - 1)
+        share = np.minimum(at - low, 1)[..., None]
+        low += self._row
+        here = self._flat[low]
+        low += 1
+        heard = self._flat[low]
+        heard -= here
+        heard *= share
+        heard += here
         if at.max() > last:
             # a slope over as many steps as are extrapolated: that of the last step alone is noise
             back = min(count, last)
             slope = (self._heard[:, last] - self._heard[:, last - back]) / back
             heard += np.maximum(at - last, 0)[..., None] * slope[:, None]
-        return np.where(at[..., None] < 0, self._before[:, None], heard)
+        early = at < 0
+        return np.where(early[..., None], self._before, heard) if early.any() else heard
 
 
 class AnsweringForce(DrivenForce):

@@ -115,6 +115,7 @@ class EffectReplay(Replay):
         self._sights: list[StartPose] = []
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
+        self.hold([placed.at_rest() for placed in self.effects])
         # whether simulations of equal parameters differ by what they are commanded
         self._own_commands = False
         self._impedance = self._impedance_of(np.empty((0, len(self.system.parameters))))
@@ -268,6 +269,15 @@ class EffectReplay(Replay):
         self._control[simulation, :, :6] = self._commands[simulation] = command
         self._own_commands = True
 
+    def hold(self, x: Sequence[np.ndarray]) -> None:
+        """Let the effects have these searched numbers, (p,) each, in every `run`."""
+        self._held = [part[None] for part in x]
+
+    def run(self, parameters: np.ndarray) -> np.ndarray:
+        """As of `Replay`, with the effects at the numbers that `hold` was told."""
+        held = [np.repeat(part, len(parameters), axis=0) for part in self._held]
+        return self.run_effects(parameters, held)[0]
+
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate strap parameters (m, 12) with searched numbers (m, p) of each effect.
 
@@ -391,7 +401,10 @@ class EffectReplay(Replay):
 
     def _roll_windows(self, answers: dict[int, Answer], last: int, m: int) -> np.ndarray:
         """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
-        batch, ids, count = self._batch, np.arange(m), max(round(WINDOW_S / self.model.opt.timestep), 1)
+        batch, count = self._batch, max(round(WINDOW_S / self.model.opt.timestep), 1)
+        # all simulations need no list, which MuJoCo would check at every window
+        ids = None if m == batch.nsim else np.arange(m)
+        out: dict[int, dict[str, np.ndarray]] = {}
         pull = np.empty((m, last, 2))
         base = slice(self._robot_columns.start, self._robot_columns.start + 3)
         start = self._state(m)[0][..., self.model.jnt_qposadr[self._robot_joints[:3]]].reshape(-1, 1, 3)
@@ -399,8 +412,8 @@ class EffectReplay(Replay):
             window = slice(first, min(first + count, last))
             for i, answer in answers.items():
                 self._control[:m, window, self._columns_of[i]] = answer.plan(window.stop - first)
-            control = self._control[:m, window]
-            done = batch.rollout(window.stop - first, control, record=_HEARD, ids=ids)
+            steps, control = window.stop - first, self._control[:m, window]
+            done = out[steps] = batch.rollout(steps, control, record=_HEARD, ids=ids, out=out.get(steps))
             self._sensors[:m, window] = done["sensordata"]
             pull[:, window] = self._strap_force(done, window)
             heard = {"interface": pull[:, window], "base": done["sensordata"][..., base] - start}
@@ -410,18 +423,20 @@ class EffectReplay(Replay):
 
     def _strap_force(self, done: dict[str, np.ndarray], window: slice) -> np.ndarray:
         """Force (m, w, 2) [N, world] of the strap on the interface in some steps, by whatever law it pulls."""
-        dofs = self._dofs[:3]
+        # joints of one body follow each other
+        dofs = slice(self._dofs[0], self._dofs[2] + 1)
         force = done["qfrc_passive"][..., dofs] + done["qfrc_constraint"][..., dofs]
-        for axis, actuators in enumerate(self._on_strap):
+        for axis, actuators in self._on_strap.items():
             force[..., axis] += done["actuator_force"][..., actuators].sum(axis=-1)
         return np.asarray(np.einsum("nij,mnj->mni", self._pelvis_at_steps[window], force))
 
     @cached_property
-    def _on_strap(self) -> list[np.ndarray]:
-        """Actuators of the translational joints of the strap: planned forces, and bristles of a friction."""
+    def _on_strap(self) -> dict[int, np.ndarray]:
+        """Actuators of the translational joints of the strap, by axis: planned forces, and bristles of a friction."""
         model = self.model
         of_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-        return [np.flatnonzero(of_joint & (model.actuator_trnid[:, 0] == j)) for j in self._joints[:3]]
+        found = {i: of_joint & (model.actuator_trnid[:, 0] == j) for i, j in enumerate(self._joints[:3])}
+        return {i: np.flatnonzero(of_axis) for i, of_axis in found.items() if of_axis.any()}
 
     @cached_property
     def _pelvis_at_steps(self) -> np.ndarray:

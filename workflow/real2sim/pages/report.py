@@ -39,7 +39,6 @@ from real2sim.pages.page import (
 from real2sim.pages.style import signed
 from real2sim.pages.validation import RECORD_KEYS, withheld_check
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, worst
-from real2sim.study.paper.with_effects import prior_rows
 
 Row = dict[str, str]
 
@@ -198,7 +197,10 @@ class Identification:
 
 @dataclass(frozen=True)
 class Sharing:
-    """Sharing between people: ICC and class of each parameter, priors, and what the priors cost someone left out."""
+    """Sharing between people: ICC and class of each parameter, priors, and what the priors cost someone left out.
+
+    ``explained``: Table I and transfer with the plain model and with the causes; none where nobody was diagnosed.
+    """
 
     icc: Table
     classes: Table
@@ -206,10 +208,18 @@ class Sharing:
     anthropometrics: Table
     loso: Table
     refined: list[dict[str, Any]]
+    explained: list[Table]
 
     @classmethod
     def read(
-        cls, icc: Path, classes: Path, priors: Path, anthropometrics: Path, loso: Path, refined: list[Path]
+        cls,
+        icc: Path,
+        classes: Path,
+        priors: Path,
+        anthropometrics: Path,
+        loso: Path,
+        refined: list[Path],
+        explained: list[Path],
     ) -> Sharing:
         """Read the tables, and refinements of unseen people. Raises InputError where a file is broken."""
         records = [read_json(path, ("subject", "status", "free", "trials")) for path in refined]
@@ -220,6 +230,7 @@ class Sharing:
             Table.read(anthropometrics),
             Table.read(loso),
             records,
+            [Table.read(path) for path in explained],
         )
 
 
@@ -277,6 +288,7 @@ def report_page(
     refined: list[Path] | None = None,
     diagnoses: list[Path] | None = None,
     validation: list[Path] | None = None,
+    explained: list[Path] | None = None,
 ) -> None:
     """Write the report of a study: cohort, gates, tightness, identification, priors, validation, claims, provenance.
 
@@ -290,14 +302,12 @@ def report_page(
         Files of the stages that bear these names.
     interface, gait, bars
         Tables II and III of `paper.tables`, and the twins' bars where one was trained.
-    fits
-        All fit files, for what they rest on.
-    refined
-        Refinements of unseen people.
-    diagnoses
-        diagnosis.json of those who have one.
+    fits, refined, diagnoses
+        All fit files, refinements of unseen people, diagnosis.json of those who have one.
     validation
         Records of scored suites (resources/validation): how often such answers are right.
+    explained
+        table1_priors.csv and transfer.csv of results/paper/with_effects, where the calibration people are diagnosed.
     """
     study = Study(
         people=people,
@@ -305,7 +315,7 @@ def report_page(
         quality=Table.read(quality),
         tightness=Tightness.read(tightness, breakpoints),
         identification=Identification.read(fits, cross_trial, identifiability),
-        sharing=Sharing.read(icc, classes, priors, anthropometrics, loso, refined or []),
+        sharing=Sharing.read(icc, classes, priors, anthropometrics, loso, refined or [], explained or []),
         walking=Walking.read(interface, gait, bars),
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
         validation=[read_json(path, RECORD_KEYS) for path in validation or []],
@@ -742,51 +752,56 @@ def _priors(study: Study) -> str:
 
 
 def _with_effects(study: Study) -> str:
-    """Table I twice, where the calibration people are diagnosed."""
-    diagnoses = [d for d in study.diagnoses if study.people.get(d["subject"]) == "calibration"]
-    if len(diagnoses) < 2:
+    """Table I and the transfer costs twice, where the calibration people are diagnosed."""
+    if not study.sharing.explained:
         return ""
-    published = {
-        row["parameter"]: {
-            "prior": row["published_prior"],
-            "interval_low": row["published_interval_low"],
-            "interval_high": row["published_interval_high"],
-        }
-        for row in study.sharing.priors.rows
-    }
-    rows = prior_rows(diagnoses, published)
-    return folded(
-        "The same with the diagnosed causes in the model",
+    priors, transfer = study.sharing.explained
+    first = priors.rows[0]
+    who = f"{first['n_with_a_cause']} of {first['n_subjects']} calibration people have a diagnosed cause"
+    models = ("plain", "with_effects")
+
+    def numbers(row: Row, model: str) -> list[str]:
+        spread = _interval(row[f"interval_low_{model}"], row[f"interval_high_{model}"])
+        return [
+            _value(row[f"prior_{model}"], 4),
+            spread,
+            _value(row[f"icc_{model}"]),
+            escape(row[f"class_{model}"]),
+        ]
+
+    of_model = ["95 % spread", "ICC", "Class"]
+    tables = [
         table(
+            ["Quantity", "Plain model", "With causes", "Published", "Unit"],
             [
-                "Parameter",
-                "Plain model",
-                "95 % of people",
-                "With causes",
-                "95 % of people",
-                "Change, %",
-                "Unit",
-                "Published",
+                [escape(row["says"]), *(_value(row[m]) for m in (*models, "published")), escape(row["unit"])]
+                for row in transfer.rows
             ],
+            caption="What the parameters of the strap cost on the person's other trial and with the prior of the other "
+            f"people: cost J, means over {transfer.rows[0]['n_subjects']} people. {who}. An overhead is small where "
+            "the gap makes up most of J, whatever the parameters are: the extra J says what they cost",
+            numeric=(1, 2, 3),
+        ),
+        table(
+            ["Parameter", "Plain model", *of_model, "With causes", *of_model, "Unit", "Published", "Class"],
             [
                 [
                     escape(row["parameter"]),
-                    rounded(row["prior_plain"]),
-                    _interval(str(row["spread_low_plain"]), str(row["spread_high_plain"])),
-                    rounded(row["prior_with_effects"]),
-                    _interval(str(row["spread_low_with_effects"]), str(row["spread_high_with_effects"])),
-                    signed(row["change_percent"], 0),
+                    *numbers(row, "plain"),
+                    *numbers(row, "with_effects"),
                     escape(row["unit"]),
-                    _value(str(row["published_prior"]), 4),
+                    _value(row["published_prior"], 4),
+                    escape(row["published_class"]),
                 ]
-                for row in rows
+                for row in priors.rows
             ],
-            caption=f"Parameters of the strap with the plain model and with the causes that were diagnosed, of "
-            f"{rows[0]['n_with_a_cause']} of {len(diagnoses)} calibration people: geometric mean, and the central 95 % "
-            "of a log-normal law through them. One value per person, fitted to the trial that the diagnosis fits",
-            numeric=(1, 3, 5, 7),
+            caption="Table I with the plain model and with the diagnosed causes in it: prior, central 95 % of people, "
+            f"ICC of all fits and class by it. {who}",
+            numeric=(1, 3, 5, 7, 10),
         ),
-    )
+        _file(priors, transfer),
+    ]
+    return folded("The same with the diagnosed causes in the model", "\n".join(tables))
 
 
 def _priors_table(study: Study) -> str:

@@ -39,7 +39,7 @@ _HOW_TO_DRIVE = (
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
 
-def _scales(written: Mapping[str, list[float]]) -> Scales:
+def scales_of(written: Mapping[str, list[float]]) -> Scales:
     """Return the units of the effects' parameters that an answer was written with."""
     q, v, k, d, inertia = (np.array(written[name]) for name in ("q", "v", "k", "d", "inertia"))
     return Scales(q, v, k, d, inertia)
@@ -53,7 +53,7 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
     InputError
         Where the catalogue has no such effect (any more).
     """
-    scales = _scales(model["scales"])
+    scales = scales_of(model["scales"])
     placed, x = [], []
     for entry in model["effects"]:
         where = tuple(system.axis_names.index(axis) for axis in entry["axes"])
@@ -146,7 +146,7 @@ def export_model(
     settings = answer["settings"]
     noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
     effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
-    scales = _scales(answer["model"]["scales"])
+    scales = scales_of(answer["model"]["scales"])
     evidence = load_evidence(
         folder=train,
         neutral=neutral,

@@ -37,7 +37,7 @@ def restart_seed(seed: int, subject: str, trial: str, restart: int) -> int:
     return int.from_bytes(digest[:4], "little")
 
 
-class _Progress:
+class Progress:
     """A line to stderr every few seconds: evaluations, cost and time left."""
 
     def __init__(self, label: str, total: int, interval_s: float = 5.0):
@@ -45,6 +45,7 @@ class _Progress:
         self._start = self._last = time.monotonic()
 
     def __call__(self, done: int, best: float) -> None:
+        """Say so many evaluations are done, if the last line is old enough, and the best cost so far."""
         now = time.monotonic()
         if now - self._last < self._interval and done < self._total:
             return
@@ -57,7 +58,7 @@ class _Progress:
         )
 
 
-def _search(
+def search(
     model: TrialModel,
     bounds: Bounds,
     ident: IdentificationSettings,
@@ -153,7 +154,7 @@ def fit_trial(
     model = trial_model(**tables, robot=robot, settings=settings, nsim=batch, threads=threads)
     model.replay.check_bounds(bounds.upper[6:])
     label = f"{subject} {trial}" + (f", {len(restarts)} restarts" if len(restarts) > 1 else "")
-    results = _search(model, bounds, ident, seeds, _Progress(label, ident["evaluations"] * len(restarts)))
+    results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
     source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
     about = {"schema": 1, "subject": subject, "trial": trial, "restart": None, "method": ident["method"]}
     about |= {"phantom": model.trial.phantom, "overridden_gates": overridden}
@@ -167,7 +168,7 @@ def _outcome(
     model: TrialModel, result: SearchResult, bounds: Bounds, settings: Settings, pose: Path
 ) -> dict[str, Any]:
     """Return what a search found, with its replay checked."""
-    paths, pelvis = model.replay.run_with_pelvis(result.parameters[None])
+    _, pelvis = model.replay.run_with_pelvis(result.parameters[None])
     check = replay_check(model.replay, pelvis[0])
     bar = settings["plant"]["replay_bar"]
     if check["rms_m"] > bar["rms_m"] or abs(check["lag_s"]) > bar["lag_s"]:
@@ -178,7 +179,14 @@ def _outcome(
             f"at most {bar['rms_m'] * 1e3} mm and {bar['lag_s'] * 1e3} ms",
             "Lower plant.timestep_s, and look for jumps in the pelvis markers.",
         )
-    terms = model.cost(paths)
+    return outcome(model, result, bounds, settings["identification"]) | {"replay": check}
+
+
+def outcome(
+    model: TrialModel, result: SearchResult, bounds: Bounds, ident: IdentificationSettings
+) -> dict[str, Any]:
+    """Return what a search found, as the entries of a fit's file: parameters [SI], cost and its terms, history."""
+    terms = model.cost(model.replay.run(result.parameters[None]))
     return {
         "parameters": as_dict(result.parameters),
         "cost": {
@@ -188,12 +196,11 @@ def _outcome(
             "rmse_position_m": float(terms.rmse_position[0]),
             "samples": model.cost.samples,
         },
-        "at_bound": bounds.at_bound(result.parameters, settings["identification"]["at_bound_ln"]),
+        "at_bound": bounds.at_bound(result.parameters, ident["at_bound_ln"]),
         "start": as_dict(result.start),
         "evaluations": result.evaluations,
         "stop": result.stop,
         "history": result.history,
-        "replay": check,
     }
 
 

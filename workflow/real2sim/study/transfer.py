@@ -14,6 +14,7 @@ from real2sim.inference.parameters import as_vector
 from real2sim.provenance import fingerprint
 from real2sim.recording.quality.verdict import overridden_gates
 from real2sim.recording.trial import TrialModel, trial_model, with_step
+from real2sim.study.explained import Causes
 from real2sim.study.fit import best_of
 from real2sim.study.statistics.loso import leave_one_out_prior, overhead
 from real2sim.study.statistics.shareability import read_fits_table
@@ -34,14 +35,28 @@ def _best_per_trial(fits: list[dict[str, Any]], subject: str) -> dict[str, dict[
 
 
 def _models(
-    poses: list[Path], markers: list[Path], limits: Path, robot: Path, settings: Settings, nsim: int
+    poses: list[Path],
+    markers: list[Path],
+    limits: Path,
+    robot: Path,
+    settings: Settings,
+    nsim: int,
+    causes: Causes | None,
 ) -> dict[str, TrialModel]:
+    """Trials by name, with the causes in their replays where there are any."""
+    if causes is not None:
+        return {pose.parent.name: causes.model(pose.parent, limits, nsim) for pose in poses}
     return {
         pose.parent.name: trial_model(
             pose=pose, markers=marker, limits=limits, robot=robot, settings=settings, nsim=nsim
         )
         for pose, marker in zip(poses, markers, strict=True)
     }
+
+
+def _causes(diagnosis: Path | None, neutral: Path | None, robot: Path) -> Causes | None:
+    """Diagnosed causes of a person, where a diagnosis is given."""
+    return None if diagnosis is None or neutral is None else Causes.read(diagnosis, neutral, robot)
 
 
 def cross_trial(
@@ -55,11 +70,14 @@ def cross_trial(
     robot: Path,
     settings: Settings,
     out: Path,
+    diagnosis: Path | None = None,
+    neutral: Path | None = None,
 ) -> None:
     """Simulate each trial's best fit on the person's other trials (paper, section V-B).
 
     ``poses`` and ``markers`` are those of the dynamic trials, in one order. ``overhead`` compares the mean over
-    all train/test directions with the mean of the within-trial best fits.
+    all train/test directions with the mean of the within-trial best fits. With ``diagnosis`` (diagnosis.json) and
+    ``neutral`` (folder of canonical tables), the diagnosed causes are in the replays.
     """
     records = [read_json(path, _FIT_KEYS) for path in fits]
     best = _best_per_trial(records, subject)
@@ -77,7 +95,13 @@ def cross_trial(
     costs = {
         name: model.cost(model.replay.run(parameters))
         for name, model in _models(
-            poses, markers, limits, robot, with_step(settings, step), len(names)
+            poses,
+            markers,
+            limits,
+            robot,
+            with_step(settings, step),
+            len(names),
+            _causes(diagnosis, neutral, robot),
         ).items()
     }
     pairs = [_pair(names, costs, train, test) for train, test in permutations(range(len(names)), 2)]
@@ -125,12 +149,15 @@ def loso_subject(
     published: Path,
     settings: Settings,
     out: Path,
+    diagnosis: Path | None = None,
+    neutral: Path | None = None,
 ) -> None:
     """Deploy the prior of the others on one person, with that person's own joint limits (paper, eq. 7).
 
     ``fits`` are those of ``subject``, ``cohort`` is the table of all fits (`shareability`), which need not hold
     theirs. With fewer than ``statistics.min_subjects`` people in the cohort there is no prior of the others: the
     published one is deployed and the file says so. M(theta*) is the mean over the trials of each trial's best fit.
+    ``diagnosis`` and ``neutral``: see `cross_trial`.
     """
     records = [read_json(path, _FIT_KEYS) for path in fits]
     everyone = read_fits_table(cohort)
@@ -139,7 +166,8 @@ def loso_subject(
     rests_on = records if source == PUBLISHED else [*records, *everyone]
     best = _best_per_trial(records, subject)
     trials = []
-    for name, model in _models(poses, markers, limits, robot, with_step(settings, step), 2).items():
+    causes = _causes(diagnosis, neutral, robot)
+    for name, model in _models(poses, markers, limits, robot, with_step(settings, step), 2, causes).items():
         both = np.array([as_vector(best[name]["parameters"]), as_vector(prior)])
         terms = model.cost(model.replay.run(both))
         trials.append(

@@ -1,13 +1,13 @@
-"""Table I twice: the parameters of the strap with the plain model, and with the diagnosed causes in it.
+"""The paper's tables twice: with the plain model, and with the diagnosed causes in it.
 
-What of the paper's Table I survives once the gap of each person is explained? Both columns come from the diagnoses: one
-value per person and parameter, fitted to the same trial, so that they differ by the causes alone.
+What of the paper's conclusions survives once the gap of each person is explained? Priors, ICC and classes (Table I),
+and what the parameters cost on another trial of the same person and on another person, by the same cost J.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,117 +16,214 @@ import numpy as np
 from real2sim.artefacts import number, read_json, read_table, write_table
 from real2sim.diagnosis.decide import NONE, UNKNOWN
 from real2sim.files import write_text
-from real2sim.inference.parameters import PARAMETERS, unit
 from real2sim.study.paper.latex import latex_table
 
-_MODELS = {"plain": "base", "with_effects": "with_effect"}
-COLUMNS = (
+MODELS = ("plain", "with_effects")
+_OF_MODEL = ("prior", "interval_low", "interval_high", "icc", "class")
+PRIOR_COLUMNS = (
     "parameter",
     "unit",
     "n_subjects",
     "n_with_a_cause",
-    *(f"{what}_{model}" for model in _MODELS for what in ("prior", "spread_low", "spread_high")),
+    *(f"{what}_{model}" for model in MODELS for what in _OF_MODEL),
     "change_percent",
-    "published_prior",
-    "published_interval_low",
-    "published_interval_high",
+    *(f"published_{what}" for what in ("prior", "interval_low", "interval_high", "class")),
     "phantom",
 )
-# Quantile of the normal law that holds the central 95 %
-_CENTRAL = 1.96
+TRANSFER_COLUMNS = ("quantity", "says", "unit", "plain", "with_effects", "published", "n_subjects", "phantom")
+
+Row = Mapping[str, str]
 
 
 def prior_rows(
-    diagnoses: Sequence[Mapping[str, Any]], published: Mapping[str, Mapping[str, str]]
+    priors: Sequence[Sequence[Row]],
+    icc: Sequence[Sequence[Row]],
+    published: Mapping[str, Row],
+    diagnoses: Sequence[Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Return a row per parameter: geometric mean of the people and central 95 % of them, with each model.
+    """Return a row per parameter: prior with its spread over people [SI], ICC and class, with each model.
 
-    The spread is that of a log-normal law through the people's values; NaN of fewer than two people. ``diagnoses`` are
-    contents of diagnosis.json, ``published`` rows of resources/published/table1_priors.csv by parameter.
+    ``priors`` and ``icc`` are rows of priors.csv and icc.csv without and with the causes; ``published`` rows of Table I
+    by parameter; ``diagnoses`` contents of diagnosis.json.
     """
     caused = sum(d["verdict"] not in (NONE, UNKNOWN) for d in diagnoses)
+    shared = [{row["parameter"]: row for row in rows} for rows in icc]
     out = []
-    for name in PARAMETERS:
-        row: dict[str, Any] = {"parameter": name, "unit": unit(name), "n_subjects": len(diagnoses)}
-        row["n_with_a_cause"] = caused
-        for model, key in _MODELS.items():
-            ln = np.log([d["parameters"][name][key] for d in diagnoses])
-            middle, sd = float(ln.mean()), float(ln.std(ddof=1)) if len(ln) > 1 else math.nan
-            row[f"prior_{model}"] = math.exp(middle)
-            row[f"spread_low_{model}"] = math.exp(middle - _CENTRAL * sd)
-            row[f"spread_high_{model}"] = math.exp(middle + _CENTRAL * sd)
-        row["change_percent"] = 100 * (row["prior_with_effects"] / row["prior_plain"] - 1)
-        theirs = published[name]
-        row["published_prior"] = number(theirs["prior"])
-        for end in ("low", "high"):
-            row[f"published_interval_{end}"] = number(theirs[f"interval_{end}"])
+    for pair in zip(*priors, strict=True):
+        name = pair[0]["parameter"]
+        row: dict[str, Any] = {"parameter": name, "unit": pair[0]["unit"]}
+        row |= {"n_subjects": len(diagnoses), "n_with_a_cause": caused}
+        for model, prior, ratios in zip(MODELS, pair, shared, strict=True):
+            row |= {f"{what}_{model}": prior[what] for what in _OF_MODEL if what != "icc"}
+            row[f"icc_{model}"] = ratios[name]["icc"]
+        row["change_percent"] = 100 * (number(row["prior_with_effects"]) / number(row["prior_plain"]) - 1)
+        row |= {f"published_{what}": published[name][what] for what in _OF_MODEL if what != "icc"}
         row["phantom"] = any(d["phantom"] for d in diagnoses)
         out.append(row)
     return out
 
 
-def with_effects(*, diagnoses: list[Path], published: Path, out: list[Path]) -> None:
-    """Write Table I with the plain model and with the diagnosed causes.
+Record = Mapping[str, Any]
+
+
+def _own(record: Record) -> float:
+    """J of the best fits of a person who was left out, a mean over the trials."""
+    return float(np.mean([trial["J_best"] for trial in record["trials"]]))
+
+
+def _with_prior(record: Record) -> float:
+    """J of the same trials with the prior of the others."""
+    return float(np.mean([trial["J_prior"] for trial in record["trials"]]))
+
+
+def _extra(record: Record) -> float:
+    """Extra J of a fit on the person's other trial."""
+    return float(record["J_cross_mean"] - record["J_within_mean"])
+
+
+_SAME_IN_PERCENT = "the same over J of the own fit"
+# By quantity of a person's result on the other trial: what it says, unit, value
+_OF_OTHER_TRIAL: dict[str, tuple[str, str, Callable[[Record], float]]] = {
+    "J_own": ("J of a fit on its own trial", "1", lambda r: float(r["J_within_mean"])),
+    "J_other_trial": ("J of a fit on the person's other trial", "1", lambda r: float(r["J_cross_mean"])),
+    "extra_other_trial": ("what the other trial costs more, in J", "1", _extra),
+    "overhead_other_trial": (_SAME_IN_PERCENT, "percent", lambda r: 100 * _extra(r) / r["J_within_mean"]),
+}
+# The same of a person's result with the prior of the others
+_OF_PRIOR: dict[str, tuple[str, str, Callable[[Record], float]]] = {
+    "J_prior_of_others": ("J with the prior of the others", "1", _with_prior),
+    "extra_prior_of_others": ("what that prior costs more, in J", "1", lambda r: _with_prior(r) - _own(r)),
+    "overhead_prior_of_others": (_SAME_IN_PERCENT, "percent", lambda r: 100 * float(r["overhead_J"])),
+}
+
+
+def transfer_rows(
+    cross_trial: Sequence[Sequence[Record]], loso: Sequence[Sequence[Record]], published: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Return what parameters cost on another trial and on another person, with each model; means over people.
+
+    ``cross_trial`` and ``loso`` are contents of results/cross_trial and results/loso of the same people, without and
+    with the causes; ``published`` maps a quantity to what the paper says of it.
+    """
+    crossed = [[r for r in records if "overhead" in r] for records in cross_trial]
+    left_out = [[r for r in records if "overhead_J" in r] for records in loso]
+    out = []
+    for quantities, found in ((_OF_OTHER_TRIAL, crossed), (_OF_PRIOR, left_out)):
+        for name, (says, unit, of) in quantities.items():
+            row: dict[str, Any] = {"quantity": name, "says": says, "unit": unit}
+            for model, records in zip(MODELS, found, strict=True):
+                row[model] = float(np.mean([of(record) for record in records])) if records else math.nan
+            row |= {"published": published.get(name, ""), "n_subjects": len(found[0])}
+            out.append(row | {"phantom": any(r["phantom"] for r in found[0])})
+    return out
+
+
+def with_effects(
+    *,
+    diagnoses: list[Path],
+    priors: list[Path],
+    icc: list[Path],
+    cross_trial: list[Path],
+    cross_trial_explained: list[Path],
+    loso: list[Path],
+    loso_explained: list[Path],
+    published: list[Path],
+    out: list[Path],
+) -> None:
+    """Write Table I and the transfer costs with the plain model and with the diagnosed causes.
 
     Parameters
     ----------
     diagnoses
         diagnosis.json of the calibration people.
+    priors, icc
+        priors.csv and icc.csv, without and with the causes.
+    cross_trial, cross_trial_explained, loso, loso_explained
+        Results of the same people, without and with the causes.
     published
-        table1_priors.csv of resources/published.
+        table1_priors.csv, cross_trial.csv and claims.csv of resources/published.
     out
-        The table, .csv and .tex.
+        table1_priors and transfer, each .csv and .tex.
     """
-    theirs = {row["parameter"]: row for row in read_table(published, ("parameter", "prior"))}
-    rows = prior_rows([read_json(path) for path in diagnoses], theirs)
-    files = {path.suffix: path for path in out}
-    write_table(files[".csv"], COLUMNS, rows)
-    write_text(files[".tex"], _tex(rows))
+    answers = [read_json(path) for path in diagnoses]
+    table1 = {row["parameter"]: row for row in read_table(published[0], ("parameter", "prior", "class"))}
+    rows = prior_rows(
+        [read_table(path, ("parameter", "prior", "class")) for path in priors],
+        [read_table(path, ("parameter", "icc")) for path in icc],
+        table1,
+        answers,
+    )
+    moved = transfer_rows(
+        [[read_json(path) for path in paths] for paths in (cross_trial, cross_trial_explained)],
+        [[read_json(path) for path in paths] for paths in (loso, loso_explained)],
+        _published(published[1], published[2]),
+    )
+    files = {path.name: path for path in out}
+    write_table(files["table1_priors.csv"], PRIOR_COLUMNS, rows)
+    write_text(files["table1_priors.tex"], _table1(rows))
+    write_table(files["transfer.csv"], TRANSFER_COLUMNS, moved)
+    write_text(files["transfer.tex"], _transfer(moved))
 
 
-def _tex(rows: Sequence[dict[str, Any]]) -> str:
+def _published(cross_trial: Path, claims: Path) -> dict[str, str]:
+    """Quantities of `transfer_rows` as the paper prints them."""
+    trials = {row["quantity"]: row["value"] for row in read_table(cross_trial, ("quantity", "value"))}
+    said = {row["claim"]: row["published"] for row in read_table(claims, ("claim", "published"))}
+    return {
+        "J_own": trials["J_within_mean"],
+        "J_other_trial": trials["J_cross_mean"],
+        "extra_other_trial": f"{number(trials['J_cross_mean']) - number(trials['J_within_mean']):.3g}",
+        "overhead_other_trial": trials["overhead_mean"],
+        "overhead_prior_of_others": said["loso_J"],
+    }
+
+
+def _table1(rows: Sequence[Mapping[str, Any]]) -> str:
     printed = []
     for row in rows:
         cells = [row["parameter"], row["unit"]]
-        for model in _MODELS:
-            cells += [
-                _short(row[f"prior_{model}"]),
-                _range(row, f"spread_low_{model}", f"spread_high_{model}"),
-            ]
-        cells += [f"{row['change_percent']:+.0f}", _short(row["published_prior"])]
-        cells.append(_range(row, "published_interval_low", "published_interval_high"))
+        for model in MODELS:
+            cells += [_with_range(row, f"prior_{model}", f"interval_low_{model}", f"interval_high_{model}")]
+            cells += [_short(row[f"icc_{model}"]), row[f"class_{model}"]]
+        low, high = "published_interval_low", "published_interval_high"
+        cells += [_with_range(row, "published_prior", low, high), row["published_class"]]
         printed.append(cells)
-    first = rows[0]
+    first, of_model = rows[0], ["ICC", "Class"]
     return latex_table(
-        [
-            "Parameter",
-            "Unit",
-            "Plain",
-            "Spread",
-            "With causes",
-            "Spread",
-            "Change, %",
-            "Published",
-            "Interval",
-        ],
+        ["Parameter", "Unit", "Plain", *of_model, "With causes", *of_model, "Published", "Class"],
         printed,
         caption=(
-            f"Parameters of {first['n_subjects']} people (geometric mean, central 95 %) with the plain model and with "
-            f"the diagnosed causes in it, of {first['n_with_a_cause']} of them, beside the published ones (Table I)."
+            f"Priors of {first['n_subjects']} people with the plain model and with the diagnosed causes in it, of "
+            f"{first['n_with_a_cause']} of them, beside the published ones (Table I)."
         ),
         label="tab:priors-with-effects",
-        columns="llrlrlrrl",
+        columns="lllrllrlll",
         phantom=bool(first["phantom"]),
     )
 
 
-def _short(value: float) -> str:
-    """Three digits, without an exponent."""
-    if not math.isfinite(value):
+def _transfer(rows: Sequence[Mapping[str, Any]]) -> str:
+    return latex_table(
+        ["Quantity", "Unit", "Plain", "With causes", "Published"],
+        [[row["says"], row["unit"], *(_short(row[key]) for key in (*MODELS, "published"))] for row in rows],
+        caption=(
+            f"What parameters cost on the person's other trial and on another person, means over "
+            f"{rows[0]['n_subjects']} people, with the plain model and with the diagnosed causes in it."
+        ),
+        label="tab:transfer-with-effects",
+        columns="llrrr",
+        phantom=bool(rows[0]["phantom"]),
+    )
+
+
+def _short(value: str | float) -> str:
+    """Three digits, without an exponent; a dash for none."""
+    parsed = number(value) if isinstance(value, str) else value
+    if not np.isfinite(parsed):
         return "\N{EN DASH}"
-    text = f"{value:.3g}"
+    text = f"{parsed:.3g}"
     return f"{float(text):.0f}" if "e+" in text else text
 
 
-def _range(row: Mapping[str, Any], low: str, high: str) -> str:
-    return f"[{_short(row[low])}, {_short(row[high])}]"
+def _with_range(row: Mapping[str, Any], value: str, low: str, high: str) -> str:
+    return f"{_short(row[value])} [{_short(row[low])}, {_short(row[high])}]"

@@ -112,21 +112,21 @@ class Gap:
     def _choose(self) -> None:
         """Take the first draw of each effect that can make its share of the gap, else the one that comes nearest."""
         share, sizes = self._wanted / len(self._p.causes), self._sizes(self._options["largest"])
-        drawn: dict[str, list[Draw]] = {}
-        for cause in self._p.causes:
-            rng = stream(self._settings, self._person.name, "gap", cause.name)
-            drawn[cause.name] = [
-                cause.form.draw(rng, about_of(self._p)) for _ in range(self._options["draws"])
-            ]
-        tried = [(c, draw, size) for c in self._p.causes for draw in drawn[c.name] for size in sizes]
-        reached = self._costs([self._of([one]) for one in tried])
-        for cause, costs in zip(
-            self._p.causes, reached.reshape(len(self._p.causes), -1, len(sizes)), strict=True
-        ):
-            able = np.flatnonzero(costs.max(axis=1) >= share)
-            pick = int(able[0]) if len(able) else int(np.argmax(costs.max(axis=1)))
-            cause.draw = drawn[cause.name][pick]
-            cause.severity = _size_at(share, sizes, costs[pick])
+        rngs = [stream(self._settings, self._person.name, "gap", cause.name) for cause in self._p.causes]
+        largest = dict.fromkeys(range(len(rngs)), -np.inf)
+        # draw by draw: most effects make their share with the first
+        for _ in range(self._options["draws"]):
+            unable = [i for i, reached in largest.items() if reached < share]
+            if not unable:
+                break
+            drawn = {i: self._p.causes[i].form.draw(rngs[i], about_of(self._p)) for i in unable}
+            tried = [(self._p.causes[i], drawn[i], size) for i in unable for size in sizes]
+            costs = self._costs([self._of([one]) for one in tried]).reshape(len(unable), len(sizes))
+            for i, reached in zip(unable, costs, strict=True):
+                if reached.max() > largest[i]:
+                    largest[i] = float(reached.max())
+                    self._p.causes[i].draw = drawn[i]
+                    self._p.causes[i].severity = _size_at(share, sizes, reached)
 
     def _sizes(self, largest: float) -> np.ndarray:
         """Sizes (k,) that are tried at once, each half as large again as the one before."""

@@ -1,0 +1,149 @@
+"""The paper's identification with the diagnosed causes in the model: the same cost J, the effects of the answer held.
+
+What of the paper's conclusions rests on a model without these effects shows where both are compared: stiffness and
+damping are fitted to each trial with the causes in the replay, and then shared, transferred and tested like the plain
+ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from real2sim.artefacts import read_json, write_json
+from real2sim.diagnosis.evidence import BALANCE
+from real2sim.effects.base import Placed, Scales
+from real2sim.errors import InputError
+from real2sim.inference.parameters import Bounds
+from real2sim.provenance import fingerprint, provenance
+from real2sim.recording.noise import NoiseModel
+from real2sim.recording.quality.verdict import require
+from real2sim.recording.trial import TrialModel
+from real2sim.study.diagnosis_model import effects_of, scales_of
+from real2sim.study.fit import BATCH, Progress, outcome, restart_seed, search
+from real2sim.study.strap import strap_system
+from real2sim.study.strap_recording import load_evidence
+
+if TYPE_CHECKING:
+    from real2sim.settings import IdentificationSettings
+
+_PACKAGES = ["mujoco", "numpy", "scipy"]
+_READ = ("subject", "verdict", "verdict_set", "train", "held_out", "robot_holds", "model", "settings")
+
+
+@dataclass(frozen=True)
+class Causes:
+    """Diagnosed causes of one person: the answer (diagnosis.json), its effects and their searched numbers (p,) each.
+
+    ``robot``: MJCF of the robot twin; ``neutral``: folder of canonical tables of the neutral trial.
+    """
+
+    answer: Mapping[str, Any]
+    effects: list[Placed]
+    x: list[np.ndarray]
+    scales: Scales
+    robot: Path
+    neutral: Path
+
+    @classmethod
+    def read(cls, diagnosis: Path, neutral: Path, robot: Path) -> Causes:
+        """Read the causes of diagnosis.json; none where its verdict is `none` or `unknown`."""
+        answer = read_json(diagnosis, _READ)
+        effects, x = effects_of(answer["model"], strap_system(robot, answer["settings"]), diagnosis)
+        return cls(answer, effects, x, scales_of(answer["model"]["scales"]), robot, neutral)
+
+    def model(self, trial: Path, limits: Path, nsim: int) -> TrialModel:
+        """Return a dynamic trial with the causes in its replays of at most ``nsim`` simulations.
+
+        ``trial`` is a folder of canonical tables, prepared as the diagnosis prepares it; ``limits`` are the person's.
+
+        Raises
+        ------
+        InputError
+            For a trial that the diagnosis neither fitted nor held out: nothing says how an effect acts there that acts
+            on each trial in its own way.
+        """
+        names = [*self.answer["train"], *self.answer["held_out"]]
+        if trial.name not in names:
+            expected = " or ".join(names)
+            raise InputError(
+                trial, "", "a trial that was not diagnosed", expected, "Fit one of those that were."
+            )
+        settings = self.answer["settings"]
+        noise = NoiseModel.measure(self.neutral, settings["ingest"], settings["diagnosis"]["noise"])
+        evidence = load_evidence(
+            folder=trial,
+            neutral=self.neutral,
+            limits=limits,
+            robot=self.robot,
+            settings=settings,
+            noise=noise,
+            settled=self.answer["robot_holds"] == BALANCE,
+        ).with_scales(self.scales)
+        if trial.name in self.answer["held_out"]:
+            evidence = evidence.as_held_out()
+        replay = evidence.replay(self.effects, nsim)
+        replay.hold(self.x)
+        return TrialModel(evidence.trial, replay, evidence.cost, evidence.setup.limits)
+
+
+def fit_with_effects(
+    *,
+    subject: str,
+    trial: Path,
+    restarts: list[int],
+    diagnosis: Path,
+    neutral: Path,
+    limits: Path,
+    robot: Path,
+    settings: IdentificationSettings,
+    out: list[Path],
+    gates: list[Path] | None = None,
+) -> None:
+    """Identify the 12 interface parameters of one trial with the diagnosed causes in the model.
+
+    From the starts of the plain fits, by the same cost J, by least squares.
+
+    Parameters
+    ----------
+    trial, neutral
+        Folders of canonical tables.
+    restarts
+        Numbers of the restarts.
+    diagnosis
+        diagnosis.json of the person, whose own settings make the replay.
+    settings
+        Slice ``identification`` of the configuration.
+    gates
+        As of `fit_trial`.
+    out
+        JSON of each restart, as `fit_trial` writes it, with ``causes``.
+
+    Raises
+    ------
+    InputError
+        Where a gate refuses the trial, or it was not diagnosed.
+    """
+    causes = Causes.read(diagnosis, neutral, robot)
+    overridden = {} if gates is None else require(gates, trial.name)
+    ident = settings.copy()
+    ident["method"] = "least_squares"
+    bounds = Bounds.from_config(ident["bounds"])
+    model = causes.model(trial, limits, BATCH)
+    label = f"{subject} {trial.name} with {', '.join(causes.answer['verdict_set'])}"
+    seeds = [restart_seed(ident["seed"], subject, trial.name, restart) for restart in restarts]
+    results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
+    source = provenance([diagnosis, limits, robot], _PACKAGES, fingerprint(__name__))
+    about = {"schema": 1, "subject": subject, "trial": trial.name, "restart": None, "method": ident["method"]}
+    about |= {
+        "phantom": model.trial.phantom,
+        "overridden_gates": overridden,
+        "causes": causes.answer["verdict_set"],
+    }
+    for path, restart, seed, result in zip(out, restarts, seeds, results, strict=True):
+        found = {"restart": restart} | outcome(model, result, bounds, ident) | {"seed": seed}
+        write_json(path, about | found | {"settings": {"identification": ident}, "provenance": source})

@@ -1,0 +1,165 @@
+"""The identification, what people share, and its transfer once more, with the diagnosed causes in the model.
+
+Inputs:  results/diagnosis/<SUBJECT>/diagnosis.json of the calibration people whose diagnosis is part of the main job, and
+         what their plain fits are made from.
+Outputs: results/with_effects/: fits/<SUBJECT>/<TRIAL>/restart-<N>.json, fits.csv, icc.csv, priors.csv,
+         cross_trial/<SUBJECT>.json, loso/<SUBJECT>.json; results/paper/with_effects/{table1_priors,transfer}.{csv,tex}.
+Steps:   fit the two diagnosed trials with the causes held; ICC, priors, cross-trial and leave-one-out replays by the
+         same commands as without them; both beside each other.
+"""
+
+# Calibration people whose diagnosis is part of the main job
+EXPLAINED = [name for name in CALIBRATION if name in REPORTED]
+WITH_EFFECTS = [
+    f"results/paper/with_effects/{table}.{kind}"
+    for table in ("table1_priors", "transfer")
+    for kind in ("csv", "tex")
+]
+
+
+def explained_fits(subject):
+    """Fits of a person's two diagnosed trials with the causes in the model."""
+    return [
+        f"results/with_effects/fits/{subject}/{Path(pose).parent.name}/restart-{restart}.json"
+        for pose in explained_poses(subject)
+        for restart in RESTARTS
+    ]
+
+
+def explained_poses(subject):
+    """pose.parquet of a person's two diagnosed trials."""
+    return poses_of(subject, "dynamic")[:2]
+
+
+rule fit_with_effects:
+    """All restarts on one dynamic trial, with the diagnosed causes in the model."""
+    input:
+        pose="results/trials/{subject}/{trial}/pose.parquet",
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        diagnosis="results/diagnosis/{subject}/diagnosis.json",
+        limits="results/limits/{subject}.json",
+        gates=gates_of_fit,
+        robot=ROBOT,
+        lock="environment-lock.txt",
+    output:
+        expand("results/with_effects/fits/{{subject}}/{{trial}}/restart-{restart}.json", restart=RESTARTS),
+    log:
+        "logs/with_effects/fits/{subject}/{trial}.log",
+    benchmark:
+        "logs/benchmarks/with_effects/fits/{subject}/{trial}.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=30,
+    params:
+        trial=lambda wildcards, input: Path(input.pose).parent,
+        causes=causes_of,
+        restarts=list(RESTARTS),
+        settings=settings_of("identification"),
+        robot=ROBOT_CONTENT,
+        code=code("fit-with-effects"),
+    shell:
+        "python -m real2sim fit-with-effects --subject {wildcards.subject} --trial {params.trial:q}"
+        " --restarts {params.restarts} {params.causes:q} --limits {input.limits:q} --gates {input.gates:q}"
+        " --robot {input.robot:q} --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+use rule shareability as shareability_with_effects with:
+    """ICC(1,1) of each parameter once the causes are in the model, with intervals and class."""
+    input:
+        fits=[path for subject in EXPLAINED for path in explained_fits(subject)],
+    output:
+        fits="results/with_effects/fits.csv",
+        icc="results/with_effects/icc.csv",
+    log:
+        "logs/with_effects/shareability.log",
+    benchmark:
+        "logs/benchmarks/with_effects/shareability.tsv"
+
+
+use rule priors as priors_with_effects with:
+    """Prior and search range of each parameter once the causes are in the model."""
+    input:
+        fits="results/with_effects/fits.csv",
+        icc="results/with_effects/icc.csv",
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/with_effects/priors.csv",
+    log:
+        "logs/with_effects/priors.log",
+    benchmark:
+        "logs/benchmarks/with_effects/priors.tsv"
+
+
+use rule cross_trial as cross_trial_with_effects with:
+    """Each trial's best fit with the causes, simulated with them on the person's other trial."""
+    input:
+        fits=lambda wildcards: explained_fits(wildcards.subject),
+        poses=lambda wildcards: explained_poses(wildcards.subject),
+        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic")[:2],
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        diagnosis="results/diagnosis/{subject}/diagnosis.json",
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+    output:
+        "results/with_effects/cross_trial/{subject}.json",
+    log:
+        "logs/with_effects/cross_trial/{subject}.log",
+    benchmark:
+        "logs/benchmarks/with_effects/cross_trial/{subject}.tsv"
+
+
+use rule loso as loso_with_effects with:
+    """The prior of the others with their causes, deployed on one person with that person's."""
+    input:
+        fits=lambda wildcards: explained_fits(wildcards.subject),
+        cohort="results/with_effects/fits.csv",
+        poses=lambda wildcards: explained_poses(wildcards.subject),
+        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic")[:2],
+        neutral="results/trials/{subject}/neutral/markers.parquet",
+        diagnosis="results/diagnosis/{subject}/diagnosis.json",
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/with_effects/loso/{subject}.json",
+    log:
+        "logs/with_effects/loso/{subject}.log",
+    benchmark:
+        "logs/benchmarks/with_effects/loso/{subject}.tsv"
+
+
+rule with_effects:
+    """Table I, and what the parameters cost on another trial and another person, with the plain model and with the causes."""
+    input:
+        diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=EXPLAINED),
+        priors=["results/priors/priors.csv", "results/with_effects/priors.csv"],
+        icc=["results/shareability/icc.csv", "results/with_effects/icc.csv"],
+        cross_trial=expand("results/cross_trial/{subject}.json", subject=EXPLAINED),
+        cross_trial_explained=expand("results/with_effects/cross_trial/{subject}.json", subject=EXPLAINED),
+        loso=expand("results/loso/{subject}.json", subject=EXPLAINED),
+        loso_explained=expand("results/with_effects/loso/{subject}.json", subject=EXPLAINED),
+        published=[f"{PUBLISHED}/{name}.csv" for name in ("table1_priors", "cross_trial", "claims")],
+    output:
+        WITH_EFFECTS,
+    log:
+        "logs/paper/with_effects.log",
+    benchmark:
+        "logs/benchmarks/paper/with_effects.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("with-effects"),
+    shell:
+        "python -m real2sim with-effects --diagnoses {input.diagnoses:q} --priors {input.priors:q} --icc {input.icc:q}"
+        " --cross-trial {input.cross_trial:q} --cross-trial-explained {input.cross_trial_explained:q}"
+        " --loso {input.loso:q} --loso-explained {input.loso_explained:q} --published {input.published:q}"
+        " --out {output:q} 2>&1 | tee {log:q}"

@@ -117,6 +117,7 @@ def miniature(folder: Path) -> Study:
             "study": {"draws": 20, "bootstrap": 50, "people": [5], "power_people": [5, 10]},
         },
         twin={"cohort": "none"},
+        diagnosed="unseen",
     )
     return study
 

@@ -32,12 +32,12 @@ include: "workflow/rules/limits.smk"
 include: "workflow/rules/identification.smk"
 include: "workflow/rules/shareability.smk"
 include: "workflow/rules/diagnosis.smk"
-include: "workflow/rules/with_effects.smk"
 include: "workflow/rules/people.smk"
 include: "workflow/rules/motion.smk"
 include: "workflow/rules/twin.smk"
 include: "workflow/rules/paper.smk"
 include: "workflow/rules/figures.smk"
+include: "workflow/rules/with_effects.smk"
 include: "workflow/rules/suite.smk"
 
 

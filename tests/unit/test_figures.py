@@ -61,7 +61,7 @@ def test_of_many_people_a_figure_shows_a_few_or_all_as_one_cloud(tmp_path, monke
     assert "of 5 people" in out[0].read_text()
 
 
-def _answers(folder, **verdicts):
+def _answers(folder, marked=(), **verdicts):
     out = []
     for name, verdict in verdicts.items():
         named = verdict not in ("none", "unknown")
@@ -71,6 +71,7 @@ def _answers(folder, **verdicts):
         out.append(folder / f"{name}.json")
         trials = {"train": ["dynamic_1"], "held_out": ["dynamic_2"], "shown_on": ["dynamic_2"]}
         answer = {"subject": name, "verdict": verdict, "verdict_set": [verdict], "phantom": True}
+        answer |= {"misfit": {"marked": name in marked} if named else None}
         write_json(out[-1], answer | trials | {"probabilities": {verdict: 0.97}, "gap": gap})
     return out
 
@@ -106,6 +107,10 @@ def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch)
     monkeypatch.setattr("real2sim.pages.style.NAMED_PEOPLE", 2)
     gap_figure(diagnoses=answers, out=out)
     assert "S02" not in out[0].read_text()
+    mark = "misfit mark"
+    assert mark not in out[0].read_text()
+    gap_figure(diagnoses=_answers(tmp_path, marked=["S02"], S01="soft_tissue", S02="slack"), out=out)
+    assert mark in out[0].read_text()
     gap_figure(diagnoses=[], out=out)
     assert "nobody was diagnosed" in out[0].read_text()
 

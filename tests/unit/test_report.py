@@ -9,7 +9,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
-from real2sim.artefacts import write_json, write_table
+from real2sim.artefacts import read_table, write_json, write_table
 from real2sim.pages.report import FIGURES, report_page
 from real2sim.pages.validation import RECORD_KEYS
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
@@ -124,9 +124,18 @@ def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):
     write_table(explained[0], PRIOR_COLUMNS, [columns])
     moved = dict.fromkeys(TRANSFER_COLUMNS, "0.5") | {"says": "J of a fit on its own trial", "published": ""}
     write_table(explained[1], TRANSFER_COLUMNS, [moved])
+    claims = read_table(given["claims"])
+    assert claims[0]["here"] != "17.5"
+    write_table(
+        tmp_path / "claims.csv",
+        tuple(claims[0]),
+        [claims[0] | {"here": "17.5", "verdict": "reproduced only so"}, *claims[1:]],
+    )
     out = tmp_path / "report.html"
-    report_page(**given, title="Explained", out=out, explained=explained)
+    report_page(**given, title="Explained", out=out, explained=[*explained, tmp_path / "claims.csv"])
     page, _ = _parsed(out)
+    assert page.text.count("reproduced only so") == 1
+    assert page.text.count("17.5") == 1
     assert "The same with the diagnosed causes in the model" in page.text
     assert "4 of 5 calibration people have a diagnosed cause" in page.text
     assert "transfer.csv" in page.text

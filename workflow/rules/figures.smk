@@ -265,7 +265,7 @@ rule report_page:
         fits=fits_of(CALIBRATION),
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
         explained=(
-            [f"results/paper/with_effects/{table}.csv" for table in ("table1_priors", "transfer")]
+            [f"results/paper/with_effects/{table}.csv" for table in ("table1_priors", "transfer", "claims")]
             if len(EXPLAINED) > 1
             else []
         ),

@@ -15,7 +15,7 @@ from real2sim.pages import style
 from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_per_residual
 from real2sim.pages.page import percent
 
-_KEYS = ("subject", "verdict", "probabilities", "gap", "train", "held_out", "phantom")
+_KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")
 _ROW_IN, _FRAME_IN = 0.32, 1.0
 
 
@@ -34,7 +34,9 @@ def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
         axes = figure.subplots()
         if shown:
             _gaps(axes, shown)
-            figure.legend(loc="outside lower center", ncols=3, columnspacing=0.9)
+            names = axes.get_legend_handles_labels()[1]
+            columns = 3 if len(names) == 3 else 2
+            figure.legend(loc="outside lower center", ncols=columns, columnspacing=0.9)
         else:
             style.say(axes, "nobody was diagnosed: it takes two dynamic trials")
         style.save(figure, out)
@@ -46,7 +48,12 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     axes.hlines(place, cause, plain, color=style.GREY, linewidth=1.2)
     axes.axvline(1.0, color=style.BLACK, linewidth=0.9, linestyle="--", label="noise alone")
     axes.plot(plain, place, "o", color=style.VERMILION, markersize=6, label="plain model")
-    axes.plot(cause, place, "D", color=style.BLUE, markersize=4.5, label="with the cause")
+    marked = np.array([bool(d["misfit"] and d["misfit"]["marked"]) for d, _ in shown])
+    diamond: dict[str, Any] = {"marker": "D", "linestyle": "", "color": style.BLUE, "markersize": 4.5}
+    axes.plot(cause[~marked], place[~marked], **diamond, label="with the cause")
+    if marked.any():
+        label = "with the cause, misfit mark"
+        axes.plot(cause[marked], place[marked], **diamond, markerfacecolor="white", label=label)
     low, high = min(1.0, cause.min()), max(1.0, plain.max())
     # room for the words to the right of the points
     left, right = low / 1.4, high * (high / low + 2) ** 0.75 * 1.6

@@ -54,8 +54,9 @@ FIGURES = {
     "gap": (
         "The gap of everyone",
         "Chi-squared per residual (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain "
-        "model of strap and robot; diamond, the same with the diagnosed cause in it; dashed, what noise alone leaves, "
-        "1. At the dashed line there is no gap to explain, and the answer is none. In brackets: its probability.",
+        "model of strap and robot; diamond, the same with the diagnosed cause in it, open where it carries the misfit "
+        "mark: more than noise is left beside it; dashed, what noise alone leaves, 1. At the dashed line there is no "
+        "gap to explain, and the answer is none. In brackets: the sum of the probabilities of what is named.",
     ),
     "tightness": (
         "Tightness sweep",
@@ -199,7 +200,8 @@ class Identification:
 class Sharing:
     """Sharing between people: ICC and class of each parameter, priors, and what the priors cost someone left out.
 
-    ``explained``: Table I and transfer with the plain model and with the causes; none where nobody was diagnosed.
+    ``explained``: Table I and transfer with the plain model and with the causes, and claims with the causes; none where
+    nobody was diagnosed.
     """
 
     icc: Table
@@ -307,7 +309,8 @@ def report_page(
     validation
         Records of scored suites (resources/validation): how often such answers are right.
     explained
-        table1_priors.csv and transfer.csv of results/paper/with_effects, where the calibration people are diagnosed.
+        table1_priors.csv, transfer.csv and claims.csv of results/paper/with_effects, where the calibration people are
+        diagnosed.
     """
     study = Study(
         people=people,
@@ -755,7 +758,7 @@ def _with_effects(study: Study) -> str:
     """Table I and the transfer costs twice, where the calibration people are diagnosed."""
     if not study.sharing.explained:
         return ""
-    priors, transfer = study.sharing.explained
+    priors, transfer, _ = study.sharing.explained
     first = priors.rows[0]
     who = f"{first['n_with_a_cause']} of {first['n_subjects']} calibration people have a diagnosed cause"
     models = ("plain", "with_effects")
@@ -1140,32 +1143,54 @@ _JUDGED = {
 
 def _claims(study: Study) -> str:
     counts = Counter(row["verdict"] for row in study.claims.rows)
+    # what depends on fits, once more with the diagnosed causes in the model
+    explained = (
+        {row["claim"]: row for row in study.sharing.explained[2].rows} if study.sharing.explained else {}
+    )
+    head = [
+        "The paper says",
+        "Published",
+        "Here",
+        *(["With causes"] if explained else []),
+        "Unit",
+        "Verdict",
+        "Reason",
+    ]
     rows = []
     for row in study.claims.rows:
         kind = next((k for start, k in _JUDGED.items() if row["verdict"].startswith(start)), "warned")
+        causes = [_with_causes(row, explained[row["claim"]])] if explained else []
         rows.append(
             [
                 f"{escape(row['says'])} <span class='small'>{escape(row['place'])}</span>",
                 _value(row["published"], 4),
                 _value(row["here"]),
+                *causes,
                 escape(row["unit"]) if row["unit"] != "1" else "",
                 f'<span class="{kind} wrapped">{escape(row["verdict"])}</span>',
                 escape(row["reason"]),
             ]
         )
     summary = "; ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+    caption = "Every quantitative claim of the paper. Its own criterion stands in the file"
+    if explained:
+        caption += ". With causes: the value, where it differs, once the diagnosed causes are in the model"
     return section(
         "claims",
         "What the paper claims, and what is found here",
         paragraph(f"{len(study.claims.rows)} claims: {summary}."),
-        table(
-            ["The paper says", "Published", "Here", "Unit", "Verdict", "Reason"],
-            rows,
-            caption="Every quantitative claim of the paper. Its own criterion stands in the file",
-            numeric=(1, 2),
-        ),
+        table(head, rows, caption=caption, numeric=(1, 2, 3) if explained else (1, 2)),
         _file(study.claims),
     )
+
+
+def _with_causes(plain: Row, explained: Row) -> str:
+    """The value of a claim with the causes in the model, and its verdict where that is another one; or nothing."""
+    if explained["here"] == plain["here"]:
+        return ""
+    verdict = explained["verdict"]
+    other = f" <span class='small'>{escape(verdict)}</span>" if verdict != plain["verdict"] else ""
+    return f"{_value(explained['here'])}{other}"
 
 
 _SECTIONS: Mapping[str, Callable[[Study], str]] = {

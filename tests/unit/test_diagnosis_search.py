@@ -11,6 +11,7 @@ from real2sim.diagnosis.attribute import (
     _alone,
     _best_of_each,
     _first_of_each,
+    _neighbours,
     _other_forms,
     _other_laws,
     _pairs,
@@ -568,3 +569,68 @@ def test_a_fit_whose_slopes_cannot_be_simulated_explains_nothing(monkeypatch):
     fitted = search.fit((), np.zeros(12))
     assert fitted.chi2 == (FAILED, FAILED)
     assert fitted.occam == 0.0
+
+
+def test_slopes_are_asked_for_at_the_start_that_the_base_brings_lowest():
+    search = Search(Pair(None, None, STRAP), CONFIG["diagnosis"]["search"])
+    here = Tangent(np.zeros(2), np.zeros(3), np.eye(3)[:, :2])
+    # the first start leaves more than the second, but all of it in what the base can change
+    at, z = np.array([[0.5, -0.4, 0.1], [0.0, 0.0, 0.3]]), np.zeros((2, 3))
+    chosen = [
+        search._promising_start(z, at, here, np.full(3, -room), np.full(3, room)) for room in (1.0, 0.1)
+    ]
+    assert chosen == [0, 1]
+
+
+def test_numbers_of_an_effect_and_its_values_are_inverse():
+    rng = np.random.default_rng(3)
+    for effect in EFFECTS:
+        for where in effect.places(STRAP)[:1]:
+            placed = Placed(effect, where, SCALES)
+            x = rng.uniform(*placed.bounds(), size=(2, len(effect.parameters)))
+            np.testing.assert_allclose(placed.searched(placed.values(x)), x, rtol=1e-12, atol=1e-12)
+
+
+class _Listed(Search):
+    """A search that notes what it fits and screens."""
+
+    def __init__(self):
+        self.fitted, self.screened = [], []
+
+    def fit(self, effects, start, final=False, tangent=None):
+        self.fitted.append((" + ".join(p.key for p in effects), start[12:].tolist()))
+        return Hypothesis(tuple(effects), start, (100.0, 100.0))
+
+    def screen(self, base, places):
+        self.screened.append((base.key, {p.effect.name for p in places}, {p.where.axes for p in places}))
+        return [_screened([*base.effects, place]) for place in places]
+
+    def fit_screened(self, screened):
+        return Hypothesis(screened.effects, np.zeros(40), (200.0, 200.0))
+
+
+def test_neighbours_of_a_complete_set_lack_one_effect_or_hold_another_in_its_place():
+    def places(scales):
+        return [Placed(e, w, scales) for e in EFFECTS for w in e.places(STRAP)]
+
+    def named(scales):
+        by_key = {p.key: p for p in places(scales)}
+        return by_key["tilt"], by_key["coulomb ty"]
+
+    twice = replace(SCALES, k=2 * SCALES.k)
+    complete = Hypothesis(named(SCALES), np.append(np.zeros(12), [0.02, 0.01, np.log(0.3)]), (1.0, 1.0))
+    search, plain = _Listed(), Hypothesis((), np.zeros(12), (9e6, 9e6))
+    found = _neighbours(search, plain, complete, places(twice), CONFIG["diagnosis"]["search"])
+    keys = [key for key, _ in search.fitted]
+    assert keys == ["tilt + coulomb ty", "coulomb ty", "tilt"]
+    # the same force is a smaller part of that of a large excursion where the strap is twice as stiff
+    share = 0.3 * SCALES.force[1] / twice.force[1]
+    assert share < 0.2
+    assert search.fitted[0][1] == pytest.approx([0.02, 0.01, np.log(share)])
+    (_, rests, anywhere), (_, losses, at) = search.screened
+    assert "preload" in rests
+    assert len(anywhere) > 6
+    assert {"relaxation", "lugre"} <= losses
+    assert at == {(1,)}
+    assert [h.key for h in found[:3]] == keys
+    assert len(found) == 3 + 2 * CONFIG["diagnosis"]["search"]["swap_refits"]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from real2sim.configuration import validated
 from real2sim.diagnosis.described_trial import DescribedTrial
-from real2sim.diagnosis.free_form import Library, measure, screen, slopes
+from real2sim.diagnosis.free_form import Library, _Trial, measure, screen, slopes
 from real2sim.diagnosis.law import describe
-from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Search
 from real2sim.diagnosis.trials import Trials
 from real2sim.effects.families import (
@@ -174,3 +174,31 @@ def test_rhythms_of_two_frequencies_act_together(stiff):
     together = search.fit(both, z)
     assert max(together.chi2) < FAILED
     assert len({placed.where.element for placed in both}) == 2
+
+
+def test_slopes_of_the_screening_are_the_tangent_of_a_refit(stiff):
+    pair, search, plain = stiff
+    library = Library(pair, FREE["band_share"])
+    base = Hypothesis((), plain.base, plain.chi2)
+    known = slopes(pair, library, base)
+    trial = _Trial(pair, library, search, 0.0, 1.0, lambda text: None)
+    own = next(f for f in library.forces if f.kind == "elastic")
+    history = next(f for f in library.forces if f.is_free and len(f.depends_on) == 1)
+    for family in (own, history):
+        placed = library.placed(family, 0.3)
+        assert library.holds(family)
+        found = trial._tangent(known, family, placed, base)
+        joint = JointResiduals(pair.train, (placed,), pair.system, coarse=True)
+        r, jacobian = joint.with_jacobian(found.z, np.arange(len(found.z)))
+        np.testing.assert_allclose(found.residuals, r, atol=1e-6 * np.abs(r).max())
+        assert np.abs(found.jacobian - jacobian).max() < 2e-3 * np.abs(jacobian).max()
+    assert not library.holds(with_rhythm(history, 0.5))
+
+
+def test_laws_out_of_reach_are_not_refitted(stiff):
+    pair, search, plain = stiff
+    told = []
+    measured = measure(pair, plain, plain.base, search, FREE, SEARCH, told.append, reach=0.0)
+    assert measured.laws == []
+    assert measured.screened
+    assert len(told) == 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from real2sim.diagnosis.free_form import Law
 from real2sim.diagnosis.kin import is_kin
+from real2sim.diagnosis.misfit import _reach
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -14,6 +15,8 @@ from real2sim.effects.families import Family, families
 from real2sim.pages.law import misfit_sentence
 from real2sim.system.description import shipped_system
 from real2sim.verification.score import _score_misfit
+
+from tests.unit.test_coupling import CONFIG
 
 SYSTEM = shipped_system("strap")
 ONES = np.ones(6)
@@ -109,3 +112,12 @@ def test_noise_that_an_effect_passes_on_is_not_left_by_it():
     assert _beyond(1520.0, 1000.0, draws) < 1
     assert _beyond(1520.0, 1000.0, None) > 10
     assert _beyond(1520.0, 1000.0, np.full(5, np.nan)) > 10
+
+
+def test_laws_compete_as_far_as_the_named_set_is_not_nearly_everything():
+    settings = CONFIG["diagnosis"]["search"]
+    named = Hypothesis((), np.zeros(12), (3000.0, 3000.0))
+    assert _reach(named, settings["nearly_all"], (2880, 2880), settings) == np.inf
+    left = 6000 - 5760
+    reach = 5760 + settings["far_behind"] * left + settings["out_of_reach"]
+    assert _reach(named, 0.01, (2880, 2880), settings) == reach

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import mujoco
+from real2sim.artefacts import number, read_table
 
 
 def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
@@ -38,3 +39,21 @@ def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
     assert "soft tissue" in text.replace("_", " ")
     assert "PHANTOM" in text.upper()
     assert 'href="model.xml"' in text
+
+
+def test_the_papers_tables_stand_twice_where_everyone_is_diagnosed(mini):
+    tables = [f"results/paper/with_effects/{name}.csv" for name in ("table1_priors", "transfer", "claims")]
+    page = "results/report.html"
+    mini.snakemake("--cores", "2", "--config", "diagnosed=everyone", "--", *tables, page)
+    priors, transfer, claims = (read_table(mini.folder / table) for table in tables)
+    assert {row["n_subjects"] for row in priors} == {"2"}
+    assert all(number(row["prior_plain"]) > 0 and number(row["prior_with_effects"]) > 0 for row in priors)
+    # the phantom's skin slides: with it in the model less is left
+    own = next(row for row in transfer if row["quantity"] == "J_own")
+    assert 0 < number(own["with_effects"]) < number(own["plain"])
+    plain = read_table(mini.folder / "results" / "paper" / "claims.csv")
+    assert [row["claim"] for row in claims] == [row["claim"] for row in plain]
+    assert [row["here"] for row in claims] != [row["here"] for row in plain]
+    text = (mini.folder / page).read_text(encoding="utf-8")
+    assert "The same with the diagnosed causes in the model" in text
+    assert "With causes" in text

@@ -291,6 +291,20 @@ def where_diagnosed(wildcards):
     return f"results/diagnosis/{wildcards.subject}/diagnosis.json" if wildcards.subject in DIAGNOSED else []
 
 
+def explained_poses(subject):
+    """pose.parquet of a person's two diagnosed trials."""
+    return poses_of(subject, "dynamic")[:2]
+
+
+def explained_fits(subject):
+    """Fits of a person's two diagnosed trials with the causes in the model."""
+    return [
+        f"results/with_effects/fits/{subject}/{Path(pose).parent.name}/restart-{restart}.json"
+        for pose in explained_poses(subject)
+        for restart in RESTARTS
+    ]
+
+
 def causes_of(wildcards, input):
     """Options that put diagnosed causes into the replays of a command, where its rule is given a diagnosis."""
     if not input.get("diagnosis"):

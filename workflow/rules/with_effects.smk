@@ -16,20 +16,6 @@ WITH_EFFECTS = [
 ]
 
 
-def explained_fits(subject):
-    """Fits of a person's two diagnosed trials with the causes in the model."""
-    return [
-        f"results/with_effects/fits/{subject}/{Path(pose).parent.name}/restart-{restart}.json"
-        for pose in explained_poses(subject)
-        for restart in RESTARTS
-    ]
-
-
-def explained_poses(subject):
-    """pose.parquet of a person's two diagnosed trials."""
-    return poses_of(subject, "dynamic")[:2]
-
-
 rule fit_with_effects:
     """All restarts on one dynamic trial, with the diagnosed causes in the model."""
     input:

@@ -359,7 +359,7 @@ def test_a_name_left_out_takes_all_its_forms_with_it():
 def test_the_search_is_given_the_catalogue_without_the_names(monkeypatch):
     given = []
 
-    def attribute(pair, z, search, progress, places, calibration):
+    def attribute(pair, z, search, progress, places, calibration, complete):
         given.append({p.effect.name for p in places})
         return SimpleNamespace(pair=pair)
 

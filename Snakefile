@@ -54,7 +54,7 @@ rule all:
         rules.claims.output,
         SHARE_TABLES,
         rules.diagnosis.input if STUDY["diagnosed"] == "everyone" else [],
-        WITH_EFFECTS if len(EXPLAINED) > 1 else [],
+        [rules.with_effects.output, rules.claims_with_effects.output] if len(EXPLAINED) > 1 else [],
         PEOPLE_PAGES,
         expand("results/people/{subject}/interface.xml", subject=VALIDATION),
         "results/tightness/cohort.json",

@@ -114,7 +114,7 @@ def test_people_with_one_trial_leave_the_transfer_to_another_trial_empty(tmp_pat
 
 
 def test_causes_are_held_on_diagnosed_trials_alone():
-    causes = Causes({"train": ["dynamic_1"], "held_out": ["dynamic_2"]}, [], [], None, Path(), Path())
+    causes = Causes(Path(), {"train": ["dynamic_1"], "held_out": ["dynamic_2"]}, Path(), Path())
     with pytest.raises(InputError, match=r"dynamic_3[\s\S]*not diagnosed[\s\S]*dynamic_1 or dynamic_2"):
         causes.model(Path("results/trials/S01/dynamic_3"), Path("limits.json"), 1)
 

@@ -9,12 +9,6 @@ Steps:   fit the two diagnosed trials with the causes held; ICC, priors, cross-t
          same commands as without them; both beside each other.
 """
 
-WITH_EFFECTS = [
-    f"results/paper/with_effects/{table}.{kind}"
-    for table in ("table1_priors", "transfer", "claims")
-    for kind in ("csv", "tex")
-]
-
 
 rule fit_with_effects:
     """All restarts on one dynamic trial, with the diagnosed causes in the model."""
@@ -130,7 +124,11 @@ rule with_effects:
         loso_explained=expand("results/with_effects/loso/{subject}.json", subject=EXPLAINED),
         published=[f"{PUBLISHED}/{name}.csv" for name in ("table1_priors", "cross_trial", "claims")],
     output:
-        WITH_EFFECTS[:4],
+        expand(
+            "results/paper/with_effects/{table}.{kind}",
+            table=["table1_priors", "transfer"],
+            kind=["csv", "tex"],
+        ),
     log:
         "logs/paper/with_effects.log",
     benchmark:

@@ -391,14 +391,8 @@ class _Tangent:
     def of_family(self, family: AnyFamily, library: Library) -> tuple[_OfTrials, np.ndarray]:
         """Return products of a family, and the weights (p,) of its coefficients' prior."""
         weights = _weights_of(family)
-        if isinstance(family, Displacement):
-            parts = [trial.products(trial.displaced[family.name]) for trial in self.trials]
-            return _OfTrials.made_of(parts, each_trial=False), weights
-        of_rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
-        index = sorted({i for row in of_rows for i in row})
-        mixed = np.array([[row.count(i) for row in of_rows] for i in index], float)
-        parts = [trial.products(trial.columns[:, index]).mixed(mixed) for trial in self.trials]
-        each = family.each_trial
+        parts = [trial.products(trial.by(family, library)) for trial in self.trials]
+        each = isinstance(family, Family) and family.each_trial
         return _OfTrials.made_of(parts, each_trial=each), np.tile(weights, 2) if each else weights
 
 

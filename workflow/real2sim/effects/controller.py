@@ -109,10 +109,8 @@ class Answer:
         self._delay = law.delay[:, None] / step_s
         self._heard = np.empty((len(before), steps, before.shape[1]))
         # rows one after the other, which one index reaches
-        self._flat, self._row = (
-            self._heard.reshape(-1, before.shape[1]),
-            steps * np.arange(len(before))[:, None],
-        )
+        self._flat = self._heard.reshape(-1, before.shape[1])
+        self._row = steps * np.arange(len(before))[:, None]
         self._known = 0
 
     def plan(self, count: int) -> np.ndarray:

@@ -34,9 +34,7 @@ def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
         axes = figure.subplots()
         if shown:
             _gaps(axes, shown)
-            names = axes.get_legend_handles_labels()[1]
-            columns = 3 if len(names) == 3 else 2
-            figure.legend(loc="outside lower center", ncols=columns, columnspacing=0.9)
+            figure.legend(loc="outside lower center", ncols=2, columnspacing=0.9)
         else:
             style.say(axes, "nobody was diagnosed: it takes two dynamic trials")
         style.save(figure, out)
@@ -50,10 +48,12 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     axes.plot(plain, place, "o", color=style.VERMILION, markersize=6, label="plain model")
     marked = np.array([bool(d["misfit"] and d["misfit"]["marked"]) for d, _ in shown])
     diamond: dict[str, Any] = {"marker": "D", "linestyle": "", "color": style.BLUE, "markersize": 4.5}
-    axes.plot(cause[~marked], place[~marked], **diamond, label="with the cause")
-    if marked.any():
-        label = "with the cause, misfit mark"
-        axes.plot(cause[marked], place[marked], **diamond, markerfacecolor="white", label=label)
+    for which, face, label in (
+        (~marked, style.BLUE, "with the cause"),
+        (marked, "white", "with the cause, misfit mark"),
+    ):
+        if which.any():
+            axes.plot(cause[which], place[which], **diamond, markerfacecolor=face, label=label)
     low, high = min(1.0, cause.min()), max(1.0, plain.max())
     # room for the words to the right of the points
     left, right = low / 1.4, high * (high / low + 2) ** 0.75 * 1.6

@@ -798,8 +798,8 @@ def _with_effects(study: Study) -> str:
                 ]
                 for row in priors.rows
             ],
-            caption="Table I with the plain model and with the diagnosed causes in it: prior, central 95 % of people, "
-            f"ICC of all fits and class by it. {who}",
+            caption="Table I with the plain model and with the diagnosed causes in it: prior, central 95 % of the "
+            f"fits, their ICC and the class by it. {who}",
             numeric=(1, 3, 5, 7, 10),
         ),
         _file(priors, transfer),

@@ -20,7 +20,7 @@ from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import NoiseModel
-from real2sim.study.strap import strap_system
+from real2sim.study.strap_evidence import StrapEvidence
 from real2sim.study.strap_recording import load_evidence
 from real2sim.system.description import System
 from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, write_replay
@@ -39,7 +39,7 @@ _HOW_TO_DRIVE = (
 _NOTICE = "PHANTOM: made from synthetic data. It describes no person."
 
 
-def scales_of(written: Mapping[str, list[float]]) -> Scales:
+def _scales(written: Mapping[str, list[float]]) -> Scales:
     """Return the units of the effects' parameters that an answer was written with."""
     q, v, k, d, inertia = (np.array(written[name]) for name in ("q", "v", "k", "d", "inertia"))
     return Scales(q, v, k, d, inertia)
@@ -53,7 +53,7 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
     InputError
         Where the catalogue has no such effect (any more).
     """
-    scales = scales_of(model["scales"])
+    scales = _scales(model["scales"])
     placed, x = [], []
     for entry in model["effects"]:
         where = tuple(system.axis_names.index(axis) for axis in entry["axes"])
@@ -70,6 +70,27 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
         placed.append(Placed(effect, effect.place(system, where, entry["side"]), scales))
         x.append(np.array(entry["searched"], float))
     return placed, x
+
+
+def diagnosed_evidence(
+    answer: Mapping[str, Any], trial: Path, neutral: Path, limits: Path | None, robot: Path
+) -> StrapEvidence:
+    """Return a trial as the diagnosis saw it when it gave its answer (contents of diagnosis.json), not whitened.
+
+    ``trial`` and ``neutral`` are folders of canonical tables, ``limits`` the person's joint limits, ``robot`` the MJCF
+    of the robot twin.
+    """
+    settings = answer["settings"]
+    evidence = load_evidence(
+        folder=trial,
+        neutral=neutral,
+        limits=limits,
+        robot=robot,
+        settings=settings,
+        noise=NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"]),
+        settled=answer["robot_holds"] == BALANCE,
+    )
+    return evidence.with_scales(_scales(answer["model"]["scales"]))
 
 
 def measured_law(answer: dict[str, Any], system: System, scales: Scales) -> Placed | None:
@@ -143,20 +164,9 @@ def export_model(
         [m, world].
     """
     answer = read_json(diagnosis, _READ)
-    settings = answer["settings"]
-    noise = NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"])
-    effects, x = effects_of(answer["model"], strap_system(robot, settings), diagnosis)
-    scales = scales_of(answer["model"]["scales"])
-    evidence = load_evidence(
-        folder=train,
-        neutral=neutral,
-        limits=limits,
-        robot=robot,
-        settings=settings,
-        noise=noise,
-        settled=answer["robot_holds"] == BALANCE,
-    ).with_scales(scales)
-    law = measured_law(answer, evidence.setup.system, scales)
+    evidence = diagnosed_evidence(answer, train, neutral, limits, robot)
+    effects, x = effects_of(answer["model"], evidence.setup.system, diagnosis)
+    law = measured_law(answer, evidence.setup.system, evidence.scales)
     if law is not None:
         effects, x, answer = [law], [np.empty(0)], _with_law(answer)
     parameters = np.array([answer["parameters"][name]["fitted"] for name in PARAMETERS])

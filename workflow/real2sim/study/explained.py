@@ -12,49 +12,43 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from real2sim.artefacts import read_json, write_json
-from real2sim.diagnosis.evidence import BALANCE
-from real2sim.effects.base import Placed, Scales
 from real2sim.errors import InputError
 from real2sim.inference.parameters import Bounds
 from real2sim.provenance import fingerprint, provenance
-from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import require
 from real2sim.recording.trial import TrialModel
-from real2sim.study.diagnosis_model import effects_of, scales_of
+from real2sim.study.diagnosis_model import diagnosed_evidence, effects_of
 from real2sim.study.fit import BATCH, Progress, outcome, restart_seed, search
-from real2sim.study.strap import strap_system
-from real2sim.study.strap_recording import load_evidence
 
 if TYPE_CHECKING:
     from real2sim.settings import IdentificationSettings
 
 _PACKAGES = ["mujoco", "numpy", "scipy"]
-_READ = ("subject", "verdict", "verdict_set", "train", "held_out", "robot_holds", "model", "settings")
+_READ = ("train", "held_out", "robot_holds", "model", "settings")
 
 
 @dataclass(frozen=True)
 class Causes:
-    """Diagnosed causes of one person: the answer (diagnosis.json), its effects and their searched numbers (p,) each.
+    """Diagnosed causes of one person: the answer (contents of the file ``diagnosis``), to be put into replays.
 
-    ``robot``: MJCF of the robot twin; ``neutral``: folder of canonical tables of the neutral trial.
+    ``neutral``: folder of canonical tables of the neutral trial; ``robot``: MJCF of the robot twin.
     """
 
+    diagnosis: Path
     answer: Mapping[str, Any]
-    effects: list[Placed]
-    x: list[np.ndarray]
-    scales: Scales
-    robot: Path
     neutral: Path
+    robot: Path
 
     @classmethod
     def read(cls, diagnosis: Path, neutral: Path, robot: Path) -> Causes:
-        """Read the causes of diagnosis.json; none where its verdict is `none` or `unknown`."""
-        answer = read_json(diagnosis, _READ)
-        effects, x = effects_of(answer["model"], strap_system(robot, answer["settings"]), diagnosis)
-        return cls(answer, effects, x, scales_of(answer["model"]["scales"]), robot, neutral)
+        """Read diagnosis.json. Raises InputError where it is broken."""
+        return cls(diagnosis, read_json(diagnosis, _READ), neutral, robot)
+
+    @property
+    def names(self) -> list[str]:
+        """Effects of the diagnosed model: none where the verdict is `none` or `unknown`."""
+        return [entry["effect"] for entry in self.answer["model"]["effects"]]
 
     def model(self, trial: Path, limits: Path, nsim: int) -> TrialModel:
         """Return a dynamic trial with the causes in its replays of at most ``nsim`` simulations.
@@ -67,27 +61,18 @@ class Causes:
             For a trial that the diagnosis neither fitted nor held out: nothing says how an effect acts there that acts
             on each trial in its own way.
         """
-        names = [*self.answer["train"], *self.answer["held_out"]]
-        if trial.name not in names:
-            expected = " or ".join(names)
+        fitted, held_out = self.answer["train"], self.answer["held_out"]
+        if trial.name not in (*fitted, *held_out):
+            expected = " or ".join((*fitted, *held_out))
             raise InputError(
                 trial, "", "a trial that was not diagnosed", expected, "Fit one of those that were."
             )
-        settings = self.answer["settings"]
-        noise = NoiseModel.measure(self.neutral, settings["ingest"], settings["diagnosis"]["noise"])
-        evidence = load_evidence(
-            folder=trial,
-            neutral=self.neutral,
-            limits=limits,
-            robot=self.robot,
-            settings=settings,
-            noise=noise,
-            settled=self.answer["robot_holds"] == BALANCE,
-        ).with_scales(self.scales)
-        if trial.name in self.answer["held_out"]:
+        evidence = diagnosed_evidence(self.answer, trial, self.neutral, limits, self.robot)
+        if trial.name in held_out:
             evidence = evidence.as_held_out()
-        replay = evidence.replay(self.effects, nsim)
-        replay.hold(self.x)
+        effects, x = effects_of(self.answer["model"], evidence.setup.system, self.diagnosis)
+        replay = evidence.replay(effects, nsim)
+        replay.hold(x)
         return TrialModel(evidence.trial, replay, evidence.cost, evidence.setup.limits)
 
 
@@ -134,7 +119,7 @@ def fit_with_effects(
     ident["method"] = "least_squares"
     bounds = Bounds.from_config(ident["bounds"])
     model = causes.model(trial, limits, BATCH)
-    label = f"{subject} {trial.name} with {', '.join(causes.answer['verdict_set'])}"
+    label = f"{subject} {trial.name} with {', '.join(causes.names) or 'no cause'}"
     seeds = [restart_seed(ident["seed"], subject, trial.name, restart) for restart in restarts]
     results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
     source = provenance([diagnosis, limits, robot], _PACKAGES, fingerprint(__name__))

@@ -19,15 +19,15 @@ from real2sim.files import write_text
 from real2sim.study.paper.latex import latex_table
 
 MODELS = ("plain", "with_effects")
-_OF_MODEL = ("prior", "interval_low", "interval_high", "icc", "class")
+_OF_PRIORS = ("prior", "interval_low", "interval_high", "class")
 PRIOR_COLUMNS = (
     "parameter",
     "unit",
     "n_subjects",
     "n_with_a_cause",
-    *(f"{what}_{model}" for model in MODELS for what in _OF_MODEL),
+    *(f"{what}_{model}" for model in MODELS for what in (*_OF_PRIORS, "icc")),
     "change_percent",
-    *(f"published_{what}" for what in ("prior", "interval_low", "interval_high", "class")),
+    *(f"published_{what}" for what in _OF_PRIORS),
     "phantom",
 )
 TRANSFER_COLUMNS = ("quantity", "says", "unit", "plain", "with_effects", "published", "n_subjects", "phantom")
@@ -41,7 +41,7 @@ def prior_rows(
     published: Mapping[str, Row],
     diagnoses: Sequence[Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Return a row per parameter: prior with its spread over people [SI], ICC and class, with each model.
+    """Return a row per parameter: prior with the spread of the fits [SI], ICC and class, with each model.
 
     ``priors`` and ``icc`` are rows of priors.csv and icc.csv without and with the causes; ``published`` rows of Table I
     by parameter; ``diagnoses`` contents of diagnosis.json.
@@ -54,10 +54,10 @@ def prior_rows(
         row: dict[str, Any] = {"parameter": name, "unit": pair[0]["unit"]}
         row |= {"n_subjects": len(diagnoses), "n_with_a_cause": caused}
         for model, prior, ratios in zip(MODELS, pair, shared, strict=True):
-            row |= {f"{what}_{model}": prior[what] for what in _OF_MODEL if what != "icc"}
+            row |= {f"{what}_{model}": prior[what] for what in _OF_PRIORS}
             row[f"icc_{model}"] = ratios[name]["icc"]
         row["change_percent"] = 100 * (number(row["prior_with_effects"]) / number(row["prior_plain"]) - 1)
-        row |= {f"published_{what}": published[name][what] for what in _OF_MODEL if what != "icc"}
+        row |= {f"published_{what}": published[name][what] for what in _OF_PRIORS}
         row["phantom"] = any(d["phantom"] for d in diagnoses)
         out.append(row)
     return out
@@ -83,14 +83,14 @@ def _extra(record: Record) -> float:
 
 _SAME_IN_PERCENT = "the same over J of the own fit"
 # By quantity of a person's result on the other trial: what it says, unit, value
-_OF_OTHER_TRIAL: dict[str, tuple[str, str, Callable[[Record], float]]] = {
+_ON_OTHER_TRIAL: dict[str, tuple[str, str, Callable[[Record], float]]] = {
     "J_own": ("J of a fit on its own trial", "1", lambda r: float(r["J_within_mean"])),
     "J_other_trial": ("J of a fit on the person's other trial", "1", lambda r: float(r["J_cross_mean"])),
     "extra_other_trial": ("what the other trial costs more, in J", "1", _extra),
     "overhead_other_trial": (_SAME_IN_PERCENT, "percent", lambda r: 100 * _extra(r) / r["J_within_mean"]),
 }
 # The same of a person's result with the prior of the others
-_OF_PRIOR: dict[str, tuple[str, str, Callable[[Record], float]]] = {
+_WITH_PRIOR_OF_OTHERS: dict[str, tuple[str, str, Callable[[Record], float]]] = {
     "J_prior_of_others": ("J with the prior of the others", "1", _with_prior),
     "extra_prior_of_others": ("what that prior costs more, in J", "1", lambda r: _with_prior(r) - _own(r)),
     "overhead_prior_of_others": (_SAME_IN_PERCENT, "percent", lambda r: 100 * float(r["overhead_J"])),
@@ -108,7 +108,7 @@ def transfer_rows(
     crossed = [[r for r in records if "overhead" in r] for records in cross_trial]
     left_out = [[r for r in records if "overhead_J" in r] for records in loso]
     out = []
-    for quantities, found in ((_OF_OTHER_TRIAL, crossed), (_OF_PRIOR, left_out)):
+    for quantities, found in ((_ON_OTHER_TRIAL, crossed), (_WITH_PRIOR_OF_OTHERS, left_out)):
         for name, (says, unit, of) in quantities.items():
             row: dict[str, Any] = {"quantity": name, "says": says, "unit": unit}
             for model, records in zip(MODELS, found, strict=True):

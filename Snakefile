@@ -4,6 +4,7 @@
     snakemake --cores 2 --configfile config/quick.yaml     the same line in minutes
     snakemake --cores 2 diagnosis                          which unmodelled effect causes the gap of each person
     snakemake --cores 2 suite --config suite=config/suite-ci.yaml   how often the diagnosis is right, on sealed cases
+    snakemake --cores 2 paper_gap                          which unmodelled effect would have made the paper's numbers
     snakemake --cores 2 person_S06                         one person from the priors: refined interface, MJCF, page
     snakemake --cores 2 motion                             every fitted trial as a file to watch in Foxglove
     snakemake --cores 2 twin                               does the identified interface make a simulated person adapt
@@ -39,6 +40,7 @@ include: "workflow/rules/paper.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/with_effects.smk"
 include: "workflow/rules/suite.smk"
+include: "workflow/rules/paper_gap.smk"
 
 
 forget_rule_functions()

@@ -98,7 +98,8 @@ def main() -> None:
     phantom["simulation"]["step_s"] = options.phantom_step
     phantom["trials"] |= {"walk_normal_trials": 1, "walk_robot_trials": 1}
     robot = ROOT / config["paths"]["robot"]
-    person, trials, _, _ = simulate_subject(phantom, config["robot"], robot, options.subject)
+    done = simulate_subject(phantom, config["robot"], robot, options.subject)
+    person, trials = done.person, done.trials
     rows = []
     for trial in trials:
         if trial.kind == "dynamic":

@@ -43,7 +43,8 @@ def record(
     }
 
 
-def _git(folder: Path, *command: str) -> str:
+def git(folder: Path, *command: str) -> str:
+    """Return what a git command prints in a folder."""
     done = subprocess.run(["git", "-C", folder, *command], check=True, capture_output=True, text=True)
     return done.stdout.strip()
 
@@ -57,12 +58,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "resources" / "validation")
     options = parser.parse_args()
     folder = options.score.resolve().parent
-    if changed := _git(folder, "status", "--porcelain", "--untracked-files=no"):
+    if changed := git(folder, "status", "--porcelain", "--untracked-files=no"):
         sys.exit(f"{options.score}: the checkout has changed files:\n{changed}\nScore a clean clone.")
     score = read_json(options.score, ("cases", "failed", "targets"))
     suite = read_yaml(options.config)
     date = datetime.date.fromtimestamp(options.score.stat().st_mtime).isoformat()
-    made = record(score, suite, _git(folder, "rev-parse", "--short", "HEAD"), date, options.note)
+    made = record(score, suite, git(folder, "rev-parse", "--short", "HEAD"), date, options.note)
     path = options.out / f"{suite['name']}-{suite['seed']}.json"
     write_json(path, made)
     print(path)

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim.errors import InputError
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, quaternion, rotation_xyz
+from real2sim.inference import least_squares
 from real2sim.inference.cmaes import search
 from real2sim.inference.cost import FAILED_COST, CostScales, TrialCost
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
@@ -189,3 +190,21 @@ def test_trial_masks_gaps_of_the_pelvis_and_the_time_to_settle(tmp_path):
 def test_trial_without_a_measured_start_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"pose\.parquet(.|\n)*first 0\.5 s"):
         load_trial(*_tables(tmp_path, interface_gap=slice(0, 45)), start_window_s=0.5, settle_s=1.0)
+
+
+def test_a_search_that_fails_at_every_screened_point_has_a_history_of_numbers():
+    bounds = Bounds(np.full(12, 0.5), np.full(12, 2.0))
+    calls = []
+
+    def residuals(parameters):
+        calls.append(len(parameters))
+        out = np.log(parameters)
+        return out if len(calls) > 1 else np.full_like(out, np.nan)
+
+    options = {"batch": 13, "screen": 13, "iterations": 25, "ftol": 1e-6, "seed": 1}
+    found = least_squares.search(residuals, bounds, **options)
+    assert found.cost < 1e-6
+    assert np.isfinite(found.history["best"]).all()
+    assert len(found.history["best"]) == len(found.history["evaluations"]) > 0
+    nothing = least_squares.search(lambda p: np.full((len(p), 12), np.nan), bounds, **options)
+    assert not np.isfinite(nothing.cost)

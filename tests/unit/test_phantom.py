@@ -277,8 +277,8 @@ def test_refuses_files_that_are_not_planned(settings, tmp_path):
 def test_markers_without_noise_and_effects_are_the_true_ones(settings, tmp_path):
     settings = small(settings)
     settings["effects"]["enabled"] = settings["measurement"]["enabled"] = False
-    person, trials, _, _ = cohort.simulate_subject(settings, CONTROLLERS, ROBOT, "S01")
-    trial = next(t for t in trials if t.name == "dynamic_1")
+    done = cohort.simulate_subject(settings, CONTROLLERS, ROBOT, "S01")
+    person, trial = done.person, next(t for t in done.trials if t.name == "dynamic_1")
     truth = trial.truth
     exports.write_trial_markers(tmp_path / "dynamic_1.tsv", settings, person, trial)
     seen = read_markers(tmp_path / "dynamic_1.tsv")
@@ -292,8 +292,9 @@ def test_dynamic_motion_stays_inside_the_slack_and_inside_the_limits_reached(set
     settings["trials"] |= {"walk_robot_trials": 0}
     facts = settings["cohort"]["S03"]["tightness"]
     facts["loosest_cm"] = facts["tightest_cm"] = facts["safe_comfortable_cm"]
-    person, trials, _, _ = cohort.simulate_subject(settings, CONTROLLERS, ROBOT, "S03")
-    q = {t.name: t.truth.q for t in trials if t.truth is not None}
+    done = cohort.simulate_subject(settings, CONTROLLERS, ROBOT, "S03")
+    person = done.person
+    q = {t.name: t.truth.q for t in done.trials if t.truth is not None}
     lower, upper = person.stops[person.operating_level]
     moved = np.vstack([q["dynamic_1"], q["dynamic_2"]])
     assert (moved > lower).all()

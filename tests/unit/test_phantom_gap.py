@@ -43,8 +43,8 @@ def simulated(tmp_path_factory):
 
 
 def test_the_plain_fit_costs_what_was_drawn(simulated):
-    settings, (*_, gap) = simulated
-    truth = gap.truth()
+    settings, done = simulated
+    truth = done.gap.truth()
     low, high = settings["gap"]["j"]
     assert low <= truth["j_wanted"] <= high
     assert truth["j_of_the_plain_fit"] == pytest.approx(truth["j_wanted"], rel=0.1)
@@ -53,7 +53,8 @@ def test_the_plain_fit_costs_what_was_drawn(simulated):
 
 
 def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
-    settings, (person, trials, _, _) = simulated
+    settings, done = simulated
+    person, trials = done.person, done.trials
     assert {t.name for t in trials if t.shown is not None} == {"neutral", "dynamic_1", "dynamic_2"}
     dynamic = next(t for t in trials if t.name == "dynamic_1")
     t = np.arange(0, 8, 0.1)
@@ -64,10 +65,10 @@ def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
 
 
 def test_the_same_person_has_the_same_gap(simulated, tmp_path):
-    settings, (*_, gap) = simulated
+    settings, done = simulated
     again = _settings(tmp_path, {k: dict(v) for k, v in SHORT.items()})
     assert again == settings
-    assert cohort.simulate_subject(again, CONTROLLERS, ROBOT, "S01")[3].truth() == gap.truth()
+    assert cohort.simulate_subject(again, CONTROLLERS, ROBOT, "S01").gap.truth() == done.gap.truth()
 
 
 def test_the_clean_cohort_has_none():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from real2sim.artefacts import read_table, write_json, write_table
+from real2sim.pages.front import front
 from real2sim.pages.report import FIGURES, report_page
 from real2sim.pages.validation import RECORD_KEYS
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
@@ -191,6 +192,26 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     assert first < page.text.index("An earlier one: suite standard, seed 10")
     assert "80 % to 95 %" in page.text
     assert "None of them is a recording of a person" in page.text
+
+
+def test_the_front_answers_the_question_of_the_study():
+    first, second = _diagnosis(), _diagnosis()
+    second |= {"subject": "S02", "next_trial": "sway in pitch"}
+    claims = [
+        {"claim": "cause, top-1, rho >= 0.2", "value": 0.92, "n": 38},
+        {"claim": "false alarm on null", "value": None, "n": 0},
+    ]
+    old = {"date": "2026-01-01", "suite": "a", "claims": [claims[0] | {"value": 0.1}]}
+    text = front([first, second], [old, {"date": "2026-11-26", "suite": "b", "claims": claims}])
+    assert "slack: everyone." in text
+    assert "interface law (the strap): everyone." in text
+    assert "named first for 92 % of 38 synthetic people" in text
+    assert "given one" not in text
+    assert "S02: sway in pitch." in text
+    assert front([], []) == ""
+    nobody = _diagnosis() | {"verdict": "none", "probabilities": {"none": 1.0}, "next_trial": None}
+    assert "Nowhere that these recordings show." in front([nobody], [])
+    assert "Nothing more" in front([nobody], [])
 
 
 def test_a_scored_suite_becomes_a_record_that_the_report_reads():

@@ -10,6 +10,23 @@ from __future__ import annotations
 
 from typing import TypedDict
 
+PaperGapSettings = TypedDict(
+    "PaperGapSettings",
+    {
+        "phantom": str,
+        "study_robot": str,
+        "largest": float,
+        "draws": int,
+        "method": str,
+        "restarts": int,
+        "timestep_s": float,
+        "j_tolerance": float,
+        "class_resamples": int,
+        "resamples": int,
+        "not_told_apart": float,
+    },
+)
+
 PathsSettings = TypedDict(
     "PathsSettings",
     {
@@ -1220,6 +1237,7 @@ Settings = TypedDict(
         "cohort": str,
         "diagnosed": str,
         "suite": str,
+        "paper_gap": PaperGapSettings,
         "paths": PathsSettings,
         "ingest": IngestSettings,
         "quality": QualitySettings,

@@ -34,6 +34,7 @@ from real2sim.errors import InputError
 from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
 from real2sim.inference.parameters import PARAMETERS
+from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
 from real2sim.verification.phantom.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import fingerprint
@@ -125,6 +126,7 @@ wildcard_constraints:
     subject="[A-Za-z0-9]+",
     trial="[a-z]+(_[a-zA-Z0-9]+)*",
     restart=r"\d+",
+    cause="[a-z_]+",
 
 
 STARTED = time.time()
@@ -320,6 +322,24 @@ def given(**options):
 def given_all(name, paths):
     """Option of a command that takes any number of paths, where there is one."""
     return [f"--{name}", *paths] if paths else []
+
+
+PAPER_GAP_TABLES = ["table1_priors", "cross_trial", "loso", "bounds", "claims", "pelvis_inertia"]
+
+
+def people_of_paper_gap(phantom):
+    """Calibration people of the phantom that cohorts with one cause are made of; nobody where it has no settings."""
+    cohort = {} if phantom is None else phantom["cohort"]
+    return [name for name, facts in cohort.items() if facts["cohort"] == "calibration"]
+
+
+def recorded_with(cause):
+    """MJCF and controllers, as JSON, of the robot that holds the strap in the recordings of a cohort with one cause."""
+    if cause != STUDY_ROBOT:
+        return ROBOT, settings_of("robot")
+    source = Path(STUDY["paper_gap"]["study_robot"])
+    other = validated(read_yaml(source), "config", source)
+    return other["paths"]["robot"], json.dumps(other["robot"])
 
 
 def no_such_person(wildcards):

@@ -6,6 +6,9 @@ Steps:   one rule per figure or table.
 """
 
 FIGURES = ["gap", "tightness", "convergence", "icc", "coverage", "loso"]
+# Which gap would have made the paper's numbers, computed before (benchmarks/ship_paper_gap.py)
+PAPER_GAP_RECORD = [path for path in ["resources/paper_gap/causes.json"] if Path(path).exists()]
+FIGURES += ["paper_gap"] if PAPER_GAP_RECORD else []
 
 
 rule gap_figure:
@@ -29,6 +32,29 @@ rule gap_figure:
         code=code("gap-figure"),
     shell:
         "python -m real2sim gap-figure --diagnoses {input.diagnoses:q} --out {output:q} 2>&1 | tee {log:q}"
+
+
+rule paper_gap_figure:
+    """How far the cohort of each cause lies from the paper's numbers."""
+    input:
+        record="resources/paper_gap/causes.json",
+    output:
+        multiext("results/figures/paper_gap", ".pdf", ".svg"),
+        report("results/figures/paper_gap.png", caption="../report/paper_gap.rst", category="Paper"),
+    log:
+        "logs/figures/paper_gap_figure.log",
+    benchmark:
+        "logs/benchmarks/figures/paper_gap_figure.tsv"
+    conda:
+        "../envs/real2sim.yaml"
+    threads: 1
+    resources:
+        mem_mb=600,
+        runtime=10,
+    params:
+        code=code("paper-gap-figure"),
+    shell:
+        "python -m real2sim paper-gap-figure --record {input.record:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 rule tightness_figure:
@@ -270,6 +296,7 @@ rule report_page:
             else []
         ),
         validation=VALIDATION_RECORDS,
+        paper_gap=PAPER_GAP_RECORD,
     output:
         "results/report.html",
     log:
@@ -289,6 +316,7 @@ rule report_page:
         bars=lambda wildcards, input: given(bars=input.bars),
         validation=lambda wildcards, input: given_all("validation", input.validation),
         explained=lambda wildcards, input: given_all("explained", input.explained),
+        paper_gap=lambda wildcards, input: given(**{"paper-gap": input.paper_gap}),
         code=code("report-page"),
     shell:
         "python -m real2sim report-page --people {params.people:q} --figures {input.figures:q} --quality {input.quality:q}"
@@ -296,4 +324,4 @@ rule report_page:
         " --identifiability {input.identifiability:q} --icc {input.icc:q} --classes {input.classes:q}"
         " --priors {input.priors:q} --anthropometrics {input.anthropometrics:q} --loso {input.loso:q}"
         " --interface {input.interface:q} --gait {input.gait:q} --claims {input.claims:q} {params.bars:q} --refined {input.refined:q}"
-        " --fits {params.fits} --diagnoses {input.diagnoses:q} {params.validation:q} {params.explained:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"
+        " --fits {params.fits} --diagnoses {input.diagnoses:q} {params.validation:q} {params.explained:q} {params.paper_gap:q} --title {params.title:q} --out {output:q} 2>&1 | tee {log:q}"

@@ -239,12 +239,13 @@ def search(
     z, cost, history, status = minimise(problem, start, np.arange(12), iterations=iterations, ftol=ftol)
     if progress is not None:
         progress(problem.evaluations, cost)
-    steps = [screened, *history]
+    # where no screened point could be simulated there is no best cost yet
+    steps = [(n, min(c, screened[1])) for n, c in (screened, *history) if np.isfinite(min(c, screened[1]))]
     return SearchResult(
         np.exp(z),
         cost,
         problem.evaluations,
         np.exp(start),
-        {"evaluations": [n for n, _ in steps], "best": [min(c, screened[1]) for _, c in steps]},
+        {"evaluations": [n for n, _ in steps], "best": [c for _, c in steps]},
         {"least_squares_status": float(status)},
     )

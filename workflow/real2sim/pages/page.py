@@ -62,6 +62,9 @@ h2 { font-size: 1.2rem; margin: 2rem 0 0.5rem; padding-top: 0.8rem; border-top: 
 h3 { font-size: 1rem; margin: 1rem 0 0.3rem }
 p, li, figcaption { max-width: 46rem; margin: 0.4rem 0 }
 .lead { font-size: 1.25rem; line-height: 1.4; max-width: 54rem }
+.front { display: grid; grid-template-columns: 11rem 1fr; gap: 0.5rem 1.2rem; margin: 1rem 0; max-width: 62rem }
+.front dt { font-weight: 600 }
+.front dd { margin: 0 }
 .small, figcaption { font-size: 0.88rem; font-weight: 400; color: var(--muted) }
 .notice { border-left: 0.4rem solid var(--vermilion); background: var(--warn); padding: 0.6rem 1rem; max-width: none }
 .grid { display: grid; gap: 1rem 2.5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 25rem), 1fr));
@@ -109,6 +112,8 @@ footer { margin-top: 2.5rem; padding-top: 0.8rem; border-top: 1px solid var(--li
   th, td { padding-right: 0.45rem }
   table { font-size: 0.82rem }
   .lead { font-size: 1.1rem }
+  .front { grid-template-columns: 1fr; gap: 0.1rem }
+  .front dd { margin-bottom: 0.6rem }
   .bar { display: block; width: 100%; min-width: 3.5rem }
 }
 @media print {

@@ -22,6 +22,11 @@ FIRST = {
 }
 
 
+def latest_first(records: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return records of scored suites, the latest one first."""
+    return sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
+
+
 def withheld_check(records: Sequence[Mapping[str, Any]]) -> str:
     """Return what scored suites say of answers like these, as markup; empty without a record.
 
@@ -29,7 +34,7 @@ def withheld_check(records: Sequence[Mapping[str, Any]]) -> str:
     """
     if not records:
         return ""
-    latest = sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
+    latest = latest_first(records)
     parts = [
         paragraph(
             "How often is such an answer right? The diagnosis, as of the commit that the table names, answered for "

@@ -14,6 +14,7 @@ import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.errors import InputError
 from real2sim.inference import cmaes, least_squares
+from real2sim.inference.cost import FAILED_COST
 from real2sim.inference.parameters import Bounds, as_dict, as_vector
 from real2sim.inference.result import SearchResult
 from real2sim.provenance import fingerprint, provenance
@@ -155,6 +156,7 @@ def fit_trial(
     model.replay.check_bounds(bounds.upper[6:])
     label = f"{subject} {trial}" + (f", {len(restarts)} restarts" if len(restarts) > 1 else "")
     results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
+    _require_a_replay(results, pose)
     source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
     about = {"schema": 1, "subject": subject, "trial": trial, "restart": None, "method": ident["method"]}
     about |= {"phantom": model.trial.phantom, "overridden_gates": overridden}
@@ -162,6 +164,18 @@ def fit_trial(
     outcomes = [_outcome(model, result, bounds, settings, pose) for result in results]
     for path, restart, seed, outcome in zip(out, restarts, seeds, outcomes, strict=True):
         write_json(path, about | {"restart": restart} | outcome | {"seed": seed} | tail)
+
+
+def _require_a_replay(results: list[SearchResult], pose: Path) -> None:
+    """Raise InputError where a search found no parameters that can be simulated: all of them cost FAILED_COST."""
+    if any(not result.cost < FAILED_COST for result in results):
+        raise InputError(
+            pose,
+            "pelvis path",
+            "no stable simulation with any of the parameters that were tried",
+            "a motion that the plant can follow",
+            "Look for jumps in the pelvis markers, and lower plant.timestep_s.",
+        )
 
 
 def _outcome(

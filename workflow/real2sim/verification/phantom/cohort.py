@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,22 +53,13 @@ def write_subject(
         raise ValueError(
             f"the files asked for are not those planned for {subject}: {set(out) ^ set(planned)}"
         )
-    person, trials, start_poses, sealed = simulate_subject(settings, controllers, robot, subject)
-    home = _base_home(robot)
-    notes: dict[str, Any] = {}
-    for index, trial in enumerate(trials):
-        clocks = exports.draw_clocks(settings, person, trial.name, index)
-        notes[trial.name] = exports.write_trial_markers(folder / f"{trial.name}.tsv", settings, person, trial)
-        exports.write_trial_coordinates(folder / f"{trial.name}.mot", settings, person, trial, clocks)
-        if trial.truth is not None:
-            exports.write_trial_log(folder / f"{trial.name}.mcap", settings, person, trial, clocks, home)
-            notes[trial.name] |= _reached(trial.truth)
-        notes[trial.name] |= {"clocks": clocks, "robot_start": start_poses[trial.name].tolist()}
-    write_text(folder / "subject.yaml", _subject_yaml(person))
+    simulated = simulate_subject(settings, controllers, robot, subject)
+    notes = write_trials(folder, settings, robot, simulated)
+    sealed = simulated.gap
     write_text(
         truth,
         json.dumps(
-            _truth(settings, person, notes, robot, controllers)
+            _truth(settings, simulated.person, notes, robot, controllers)
             | ({} if sealed is None else {"gap": sealed.truth()}),
             indent=1,
             allow_nan=False,
@@ -74,16 +67,52 @@ def write_subject(
     )
 
 
+@dataclass
+class Simulated:
+    """A person with trials and their true paths, the robot's start pose (6,) by trial, and the sealed gap."""
+
+    person: Person
+    trials: list[Trial]
+    starts: dict[str, np.ndarray]
+    gap: Gap | None
+
+
+def write_trials(folder: Path, settings: dict[str, Any], robot: Path, simulated: Simulated) -> dict[str, Any]:
+    """Write subject.yaml and the raw exports of every trial into ``folder``; return what is sealed of each trial."""
+    home = _base_home(robot)
+    person = simulated.person
+    notes: dict[str, Any] = {}
+    for index, trial in enumerate(simulated.trials):
+        clocks = exports.draw_clocks(settings, person, trial.name, index)
+        notes[trial.name] = exports.write_trial_markers(folder / f"{trial.name}.tsv", settings, person, trial)
+        exports.write_trial_coordinates(folder / f"{trial.name}.mot", settings, person, trial, clocks)
+        if trial.truth is not None:
+            exports.write_trial_log(folder / f"{trial.name}.mcap", settings, person, trial, clocks, home)
+            notes[trial.name] |= _reached(trial.truth)
+        notes[trial.name] |= {"clocks": clocks, "robot_start": simulated.starts[trial.name].tolist()}
+    write_text(folder / "subject.yaml", _subject_yaml(person))
+    return notes
+
+
+def prepared(settings: dict[str, Any], robot: Robot, subject: str, names: Sequence[str]) -> Simulated:
+    """Return a person and their trials before anything is simulated: paths of the pelvis and start poses."""
+    person = draw_person(settings, subject, float(robot.rest_middle(np.zeros(6))[1][2]))
+    starts = {name: _place(settings, person, name) for name in names}
+    trials = [prepare(settings, person, robot, name, starts[name]) for name in names]
+    return Simulated(person, trials, starts, None)
+
+
 def simulate_subject(
-    settings: dict[str, Any], controllers: dict[str, Any], robot: Path, subject: str
-) -> tuple[Person, list[Trial], dict[str, np.ndarray], Gap | None]:
-    """All trials of a person with their true paths, the robot's start pose (6,) per trial, and their sealed gap."""
+    settings: dict[str, Any],
+    controllers: dict[str, Any],
+    robot: Path,
+    subject: str,
+    names: Sequence[str] | None = None,
+) -> Simulated:
+    """Return a person with their trials; ``names`` of the trials, all that are planned where none are given."""
     plant = Robot(robot, settings["simulation"]["step_s"])
-    person = draw_person(settings, subject, float(plant.rest_middle(np.zeros(6))[1][2]))
-    trials, starts = [], {}
-    for name in trial_names(settings, subject):
-        starts[name] = _place(settings, person, name)
-        trials.append(prepare(settings, person, plant, name, starts[name]))
+    about_to_move = prepared(settings, plant, subject, names or trial_names(settings, subject))
+    person, trials, starts = about_to_move.person, about_to_move.trials, about_to_move.starts
     with_robot = [t for t in trials if has_log(t.name)]
     law = _law(settings, person, [t.name for t in with_robot])
     hands = [robot_controller(settings, controllers, t.kind, starts[t.name]) for t in with_robot]
@@ -91,7 +120,7 @@ def simulate_subject(
     for trial, paths in zip(with_robot, done, strict=True):
         trial.truth = paths
     if not settings["gap"]["enabled"]:
-        return person, trials, starts, None
+        return Simulated(person, trials, starts, None)
     about = [(t, hand) for t, hand in zip(with_robot, hands, strict=True) if t.kind in ("neutral", "dynamic")]
     sealed = Gap(
         settings,
@@ -103,7 +132,7 @@ def simulate_subject(
         controllers={t.name: hand for t, hand in about},
     )
     sealed.put_into([t for t, _ in about])
-    return person, trials, starts, sealed
+    return Simulated(person, trials, starts, sealed)
 
 
 def simulate_trial(

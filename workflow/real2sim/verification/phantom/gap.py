@@ -8,6 +8,7 @@ physics: nothing here is shared with what an analysis simulates.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,33 @@ def _size_at(wanted: float, sizes: np.ndarray, costs: np.ndarray) -> float:
             share = np.log(wanted / low) / np.log(high / low)
             return float(sizes[i] * (sizes[i + 1] / sizes[i]) ** share)
     return float(sizes[int(np.argmin(np.abs(np.log(np.maximum(costs, 1e-9) / wanted))))])
+
+
+def trials_with(
+    robot: Robot, stops: dict[str, Any], p: Synthetic, effects: Sequence[Applied], trials: Sequence[Trial]
+) -> list[list[Trial] | None]:
+    """Return a person's trials once per set of effects, with the strap's stops; None where they are unstable.
+
+    All are simulated side by side with ``robot``; ``p`` after `describe`.
+    """
+    setups = {}
+    lower, upper = p.person.stops[p.person.operating_level]
+    for i, some in enumerate(effects):
+        for trial in trials:
+            setup = with_effects(p, trial.name, some)
+            setup.lower, setup.upper = np.maximum(setup.lower, lower), np.minimum(setup.upper, upper)
+            setups[i, trial.name] = setup
+    done = run_keys(robot, stops, setups)
+    out: list[list[Trial] | None] = []
+    for i, some in enumerate(effects):
+        held = []
+        for trial in trials:
+            path, true = setups[i, trial.name].path, done[i, trial.name]
+            if np.isfinite(true.left).all():
+                shown = partial(_markers, record_of(p, trial.name, path, true, some))
+                held.append(replace(trial, path=path, truth=true, shown=shown))
+        out.append(held if len(held) == len(trials) else None)
+    return out
 
 
 class Gap:
@@ -111,7 +139,8 @@ class Gap:
 
     def _choose(self) -> None:
         """Take the first draw of each effect that can make its share of the gap, else the one that comes nearest."""
-        share, sizes = self._wanted / len(self._p.causes), self._sizes(self._options["largest"])
+        share = self._wanted / len(self._p.causes)
+        sizes = [self._sizes(self._largest(cause)) for cause in self._p.causes]
         rngs = [stream(self._settings, self._person.name, "gap", cause.name) for cause in self._p.causes]
         largest = dict.fromkeys(range(len(rngs)), -np.inf)
         # draw by draw: most effects make their share with the first
@@ -120,13 +149,17 @@ class Gap:
             if not unable:
                 break
             drawn = {i: self._p.causes[i].form.draw(rngs[i], about_of(self._p)) for i in unable}
-            tried = [(self._p.causes[i], drawn[i], size) for i in unable for size in sizes]
-            costs = self._costs([self._of([one]) for one in tried]).reshape(len(unable), len(sizes))
+            tried = [(self._p.causes[i], drawn[i], size) for i in unable for size in sizes[i]]
+            costs = self._costs([self._of([one]) for one in tried]).reshape(len(unable), -1)
             for i, reached in zip(unable, costs, strict=True):
                 if reached.max() > largest[i]:
                     largest[i] = float(reached.max())
                     self._p.causes[i].draw = drawn[i]
-                    self._p.causes[i].severity = _size_at(share, sizes, reached)
+                    self._p.causes[i].severity = _size_at(share, sizes[i], reached)
+
+    def _largest(self, cause: Cause) -> float:
+        """Return the largest size that the settings and the effect's equation allow."""
+        return min(float(self._options["largest"]), cause.form.most_severe)
 
     def _sizes(self, largest: float) -> np.ndarray:
         """Sizes (k,) that are tried at once, each half as large again as the one before."""
@@ -134,10 +167,10 @@ class Gap:
 
     def _fit_sizes(self) -> None:
         """Scale all effects together until the plain fit leaves the cost that was drawn."""
-        own, largest = [cause.severity for cause in self._p.causes], self._options["largest"]
+        own = [(cause.severity, self._largest(cause)) for cause in self._p.causes]
         factors = self._sizes(_STEP ** (self._options["sizes"] // 2))
         for _ in range(2):
-            tried = [[min(factor * size, largest) for size in own] for factor in factors]
+            tried = [[min(factor * size, largest) for size, largest in own] for factor in factors]
             costs = self._costs(
                 [
                     self._of([(c, c.draw, s) for c, s in zip(self._p.causes, sizes, strict=True)])
@@ -161,22 +194,12 @@ class Gap:
 
     def put_into(self, trials: Sequence[Trial]) -> None:
         """Give neutral and dynamic trials their paths with the effects, and what is recorded of them before noise."""
-        effects, person = applied(self._p), self._person
-        setups = {}
-        for trial in self._p.motions:
-            setup = with_effects(self._p, trial, effects)
-            lower, upper = person.stops[person.operating_level]
-            setup.lower, setup.upper = np.maximum(setup.lower, lower), np.minimum(setup.upper, upper)
-            setups[trial] = setup
-        done = run_keys(self._world.fine, self._world.stops, setups)
-        for trial, paths in done.items():
-            if not np.isfinite(paths.left).all():
-                raise RuntimeError(f"{person.name} {trial}: the simulation with its sealed gap is unstable")
-        for one in trials:
-            if one.name in done:
-                path = setups[one.name].path
-                recording = record_of(self._p, one.name, path, done[one.name], effects)
-                one.path, one.truth, one.shown = path, done[one.name], partial(_markers, recording)
+        told = [trial for trial in trials if trial.name in self._p.motions]
+        held = trials_with(self._world.fine, self._world.stops, self._p, [applied(self._p)], told)[0]
+        if held is None:
+            raise RuntimeError(f"{self._person.name}: the simulation with the sealed gap is unstable")
+        for own, other in zip(told, held, strict=True):
+            own.path, own.truth, own.shown = other.path, other.truth, other.shown
 
     def truth(self) -> dict[str, Any]:
         """Return what is sealed: effects with their quantities and sizes, and J of the plain fit without noise."""

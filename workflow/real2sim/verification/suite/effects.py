@@ -68,7 +68,7 @@ class Form:
 
     ``moves_truth``: the interface moves otherwise; ``moves_model``: an analysis starts from, or replays,
     something else than the truth; ``units``: quantity → unit of its translational and rotational axes, or one
-    unit.
+    unit; ``most_severe``: beyond this severity the equation means nothing, such as a spring that pushes away.
     """
 
     effect: ClassVar[str]
@@ -81,6 +81,7 @@ class Form:
     units: ClassVar[dict[str, tuple[str, str] | str]] = {}
     # whether the training trial has to go further than the held-out one, else only the latter shows the effect
     within_training: ClassVar[bool] = False
+    most_severe: ClassVar[float] = np.inf
 
     def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         """Draw what does not depend on the severity."""
@@ -209,6 +210,7 @@ class OneSided(StrapForm):
     """A share of the spring, up to all of it, pulls to one side alone."""
 
     effect = form = "one_sided"
+    most_severe = 1.0
     units: ClassVar = {"one_sided_stiffness": _STIFFNESS, "onset": _LENGTH, "side": ""}
 
     def fixed(self, rng: np.random.Generator, about: Context) -> Values:
@@ -277,6 +279,7 @@ class AsymmetricStiffness(StrapForm):
     """Even part b q^2, up to 45 % of the stiffness at the reach."""
 
     effect = form = "asymmetric_stiffness"
+    most_severe = 1.1
     units: ClassVar = {"quadratic": ("N/m2", "Nm/rad2")}
 
     def fixed(self, rng: np.random.Generator, about: Context) -> Values:
@@ -329,6 +332,7 @@ class CrossCoupling(_Coupling):
     """Off-diagonal stiffness (or damping) between two axes of a kind, up to 0.7 of their geometric mean."""
 
     effect = form = "cross_coupling"
+    most_severe = 1.4
 
     def draw(self, rng: np.random.Generator, about: Context) -> Draw:
         axes = _axes(rng, both=True)
@@ -420,6 +424,7 @@ class JointLimit(StrapForm):
     """A stop that the analysis does not know, inside the range of the training trial, down to 40 % of it."""
 
     effect = form = "joint_limit"
+    most_severe = 1.6
     within_training = True
     regime = "large amplitude"
     units: ClassVar = {"limit": _LENGTH, "side": ""}
@@ -750,6 +755,7 @@ class BaseCompliance(Form):
 
     effect = form = "base_compliance"
     stage = "robot"
+    most_severe = 2.0  # a base 36 times as stiff is rigid to a strap, one 36 times as soft lets it go
     units: ClassVar = {"stiffness_factor": "", "damping_factor": ""}
 
     def draw(self, rng: np.random.Generator, about: Context) -> Draw:

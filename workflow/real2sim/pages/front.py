@@ -1,0 +1,122 @@
+"""The front of a study's report: what was asked, the answer in four lines, and what to record next."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual
+from real2sim.pages.page import percent, rounded
+from real2sim.pages.validation import latest_first
+
+NONE = "none"
+# Names of a person each up to so many, else their number
+_NAMED = 6
+
+Diagnosis = Mapping[str, Any]
+
+
+def front(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) -> str:
+    """Return the question and its answer for this cohort as markup; empty where nobody was diagnosed.
+
+    ``diagnoses`` are contents of diagnosis.json, ``records`` scored suites (resources/validation).
+    """
+    if not diagnoses:
+        return ""
+    told = {
+        "The question": "Why do simulation and measurement of these people differ, and how much of the difference goes "
+        "once its cause is in the simulation?",
+        "Which cause": _which(diagnoses),
+        "Where": _where(diagnoses),
+        "How far it closes": _how_far(diagnoses),
+        "Can it be trusted?": _trust(diagnoses, records),
+        "What to record next": _next(diagnoses),
+    }
+    rows = "\n".join(f"<dt>{escape(k)}</dt><dd>{escape(text)}</dd>" for k, text in told.items() if text)
+    return f'<dl class="front">\n{rows}\n</dl>'
+
+
+def _people(names: Sequence[str], of: int) -> str:
+    if len(names) == of:
+        return "everyone" if of > 1 else names[0]
+    if len(names) > _NAMED:
+        return f"{len(names)} of {of} people"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _grouped(pairs: Sequence[tuple[str, str]]) -> list[tuple[str, list[str]]]:
+    """Names of people by what they have in common, the commonest first."""
+    common = Counter(what for what, _ in pairs)
+    return [(what, [name for other, name in pairs if other == what]) for what, _ in common.most_common()]
+
+
+def _which(diagnoses: Sequence[Diagnosis]) -> str:
+    groups = _grouped([(answer_words(d), str(d["subject"])) for d in diagnoses])
+    words = "; ".join(f"{what}: {_people(names, len(diagnoses))}" for what, names in groups)
+    return f"{words}."
+
+
+def _where(diagnoses: Sequence[Diagnosis]) -> str:
+    shown = [d for d in diagnoses if d["verdict"] != NONE]
+    if not shown:
+        return "Nowhere that these recordings show."
+    places = [(STAGES.get(d["where"]["stage"], str(d["where"]["stage"])), str(d["subject"])) for d in shown]
+    return "; ".join(f"{what}: {_people(names, len(diagnoses))}" for what, names in _grouped(places)) + "."
+
+
+def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
+    named = [
+        (d, both, closed) for d in diagnoses if (both := chi2_per_residual(d)) and (closed := chi2_closed(d))
+    ]
+    if not named:
+        return ""
+    before, after = (statistics.median(both[i] for _, both, _ in named) for i in (0, 1))
+    least, shares = min(named, key=lambda one: one[2]), [closed for *_, closed in named]
+    text = (
+        f"On the trial that was not fitted the misfit falls from {rounded(before, 2)} to {rounded(after, 2)} times "
+        f"what noise leaves (medians of {len(named)}). That closes {percent(statistics.median(shares))} of what stands "
+        "above noise"
+    )
+    if len(named) > 1 and percent(least[2]) != percent(statistics.median(shares)):
+        text += f", for {least[0]['subject']} {percent(least[2])}"
+    return f"{text}."
+
+
+def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) -> str:
+    marked = [str(d["subject"]) for d in diagnoses if d.get("misfit") and d["misfit"]["marked"]]
+    parts = []
+    if marked:
+        parts.append(
+            f"More than noise is left beside what is named for {_people(marked, len(diagnoses))} (misfit mark)."
+        )
+    if records:
+        claims = {row["claim"]: row for row in latest_first(records)[0]["claims"] if row["value"] is not None}
+        for name, words in _CLAIMS.items():
+            if name in claims:
+                row = claims[name]
+                parts.append(words.format(share=percent(row["value"]), n=row["n"]))
+        parts.append("How often it is right about real people is not known.")
+    return " ".join(parts)
+
+
+# What a reader asks of a scored suite before they trust an answer
+_CLAIMS = {
+    "cause, top-1, rho >= 0.2": "Where the cause was known but withheld, it was named first for {share} of {n} "
+    "synthetic people.",
+    "false alarm on null": "Of {n} without a cause, {share} were given one.",
+    "out of library: a wrong name": "Where the cause was none of the catalogue, {share} of {n} were given a wrong "
+    "name.",
+}
+
+
+def _next(diagnoses: Sequence[Diagnosis]) -> str:
+    asked = _grouped([(str(d["next_trial"]), str(d["subject"])) for d in diagnoses if d["next_trial"]])
+    if not asked:
+        return "Nothing more: no answer is split."
+    words = " ".join(f"{_people(names, len(diagnoses))}: {trial}." for trial, names in asked[:_NAMED])
+    rest = len(diagnoses) - sum(len(names) for _, names in asked)
+    more = f" {len(asked) - _NAMED} more stand in the table." if len(asked) > _NAMED else ""
+    return words + more + (" Of the others nothing more." if rest else "")

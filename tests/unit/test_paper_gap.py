@@ -154,8 +154,8 @@ def test_the_report_names_the_nearest_and_those_that_cannot_leave_this_j(ranked,
     record = read_json(ranked[0]) | {"commit": "abc1234", "date": "2026-11-26"}
     text = told(record, "<figure></figure>")
     document("T", [text], phantom=True)
-    assert "Nearest by all of it: tilt (2)." in text
-    assert "up to 8 times the largest published size, this J cannot come from outliers." in text
+    assert "They are tilt (2)." in text
+    assert "1 other effects cannot leave this J" in text
     assert "nothing unmodelled" in text
     assert "commit abc1234" in text
     write_json(tmp_path / "record.json", record)

@@ -284,4 +284,6 @@ def write_study(
     study |= _paper(folder, study)
     given = claim_arguments(folder, study)
     claims(**given)
-    return study | {"claims": given["out"], "refined": [write_refined(folder / "refined.json")]}
+    record = Path(__file__).parents[2] / "resources" / "paper_gap" / "causes.json"
+    study |= {"claims": given["out"], "refined": [write_refined(folder / "refined.json")]}
+    return study | {"paper_gap": record}

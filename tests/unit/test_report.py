@@ -69,6 +69,7 @@ def test_every_part_of_the_study_is_told(report):
         "validation",
         "diagnosis",
         "claims",
+        "paper-gap",
         "provenance",
     ):
         assert heading in page.ids

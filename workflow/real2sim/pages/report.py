@@ -273,7 +273,7 @@ class Study:
     diagnoses: list[dict[str, Any]]
     validation: list[dict[str, Any]]
     claims: Table
-    paper_gap: dict[str, Any] | None
+    paper_gap: Path | None
 
 
 def report_page(
@@ -333,7 +333,7 @@ def report_page(
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
         validation=[read_json(path, RECORD_KEYS) for path in validation or []],
         claims=Table.read(claims),
-        paper_gap=None if paper_gap is None else read_json(paper_gap, PAPER_GAP_KEYS),
+        paper_gap=paper_gap,
     )
     write_text(out, _page(study, title))
 
@@ -1212,7 +1212,9 @@ def _paper_gap(study: Study) -> str:
     return section(
         "paper-gap",
         "Which gap would have made the paper's numbers?",
-        told(study.paper_gap, _figure(study, "paper_gap")),
+        told(read_json(study.paper_gap, PAPER_GAP_KEYS), _figure(study, "paper_gap")),
+        '<p class="small tools">All numbers: '
+        f"{download(study.paper_gap.name, study.paper_gap.read_bytes(), 'application/json')}</p>",
     )
 
 

@@ -150,6 +150,22 @@ def test_the_cohort_that_is_like_the_paper_comes_first(ranked):
     assert [row["cause"] for row in read_table(ranked[1])][:3] == [r["cause"] for r in record["causes"]][:3]
 
 
+def test_cohorts_that_all_cost_too_little_have_no_rank(settings, tmp_path):
+    cohort = _cohort(tmp_path / "nothing.json", "nothing", 4, j=0.02)
+    out = tmp_path / "causes.json"
+    given = {"published": PUBLISHED, "settings": settings, "table": tmp_path / "causes.csv"}
+    ranking.rank_causes(cohorts=[cohort], out=out, **given)
+    record = read_json(out) | {"commit": "abc1234", "date": "2026-11-26"}
+    assert "rank" not in record["causes"][0]
+    assert "No cohort costs this J" in told(record, "")
+    write_json(out, record)
+    paper_gap_figure(record=out, out=[tmp_path / "f.svg"])
+    assert "no cohort costs the paper" in (tmp_path / "f.svg").read_text()
+    write_json(cohort, {"cause": "nothing", "status": "needs 3 people, has 1", "sealed": {}})
+    ranking.rank_causes(cohorts=[cohort], out=out, **given)
+    assert read_json(out)["causes"][0]["status"] == "needs 3 people, has 1"
+
+
 def test_the_report_names_the_nearest_and_those_that_cannot_leave_this_j(ranked, tmp_path):
     record = read_json(ranked[0]) | {"commit": "abc1234", "date": "2026-11-26"}
     text = told(record, "<figure></figure>")

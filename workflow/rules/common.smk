@@ -6,6 +6,7 @@ Steps:   check the configuration; find the people; name their trials; fingerprin
 """
 
 import atexit
+import functools
 import gc
 import json
 import os
@@ -327,10 +328,25 @@ def given_all(name, paths):
 PAPER_GAP_TABLES = ["table1_priors", "cross_trial", "loso", "bounds", "claims", "pelvis_inertia"]
 
 
-def people_of_paper_gap(phantom):
-    """Calibration people of the phantom that cohorts with one cause are made of; nobody where it has no settings."""
-    cohort = {} if phantom is None else phantom["cohort"]
-    return [name for name, facts in cohort.items() if facts["cohort"] == "calibration"]
+def asked_for(make):
+    """What a setting that only some targets need gives; what is wrong with it ends the planning of those alone."""
+    try:
+        return make()
+    except InputError as error:
+        raise WorkflowError(f"\n{error}") from None
+
+
+@functools.cache
+def paper_gap_phantom():
+    """Checked settings of the phantom that cohorts with one cause are made of."""
+    return asked_for(lambda: read_settings(Path(STUDY["paper_gap"]["phantom"])))
+
+
+def people_of_paper_gap(wildcards):
+    """Folders of the calibration people of a cohort with one cause."""
+    cohort = paper_gap_phantom()["cohort"]
+    names = [name for name, facts in cohort.items() if facts["cohort"] == "calibration"]
+    return [f"results/paper_gap/people/{wildcards.cause}/{name}" for name in names]
 
 
 def recorded_with(cause):
@@ -338,7 +354,7 @@ def recorded_with(cause):
     if cause != STUDY_ROBOT:
         return ROBOT, settings_of("robot")
     source = Path(STUDY["paper_gap"]["study_robot"])
-    other = validated(read_yaml(source), "config", source)
+    other = asked_for(lambda: validated(read_yaml(source), "config", source))
     return other["paths"]["robot"], json.dumps(other["robot"])
 
 

@@ -6,14 +6,6 @@ Steps:   one job per cause and person records the person and fits both dynamic t
          through the paper's statistics; one compares all cohorts with what the paper prints.
 """
 
-PAPER_GAP_PHANTOM = (
-    read_settings(Path(STUDY["paper_gap"]["phantom"]))
-    if Path(STUDY["paper_gap"]["phantom"]).exists()
-    else None
-)
-PAPER_GAP_PEOPLE = people_of_paper_gap(PAPER_GAP_PHANTOM)
-
-
 rule paper_gap_person:
     """One person whose gap has one cause: recorded, ingested, both dynamic trials identified with the plain model."""
     input:
@@ -34,7 +26,7 @@ rule paper_gap_person:
         mem_mb=1200,
         runtime=30,
     params:
-        phantom=json.dumps(PAPER_GAP_PHANTOM),
+        phantom=lambda wildcards: json.dumps(paper_gap_phantom()),
         controllers=lambda wildcards: recorded_with(wildcards.cause)[1],
         settings=settings_of("ingest", "identification", "plant", "robot", "paper_gap"),
         robot=ROBOT_CONTENT,
@@ -49,7 +41,7 @@ rule paper_gap_person:
 rule paper_gap_cohort:
     """What the paper reports of its cohort, for a cohort whose people all have one cause."""
     input:
-        people=expand("results/paper_gap/people/{{cause}}/{subject}", subject=PAPER_GAP_PEOPLE),
+        people=people_of_paper_gap,
         robot=ROBOT,
         published=f"{PUBLISHED}/table1_priors.csv",
     output:

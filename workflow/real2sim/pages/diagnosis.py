@@ -22,6 +22,7 @@ from real2sim.pages.law import law_section, misfit_sentence
 from real2sim.pages.page import (
     bar,
     document,
+    listed,
     page_style,
     paragraph,
     percent,
@@ -218,8 +219,7 @@ def _sentence(text: str) -> str:
 
 def _listed(names: Sequence[str], joint: str = "and") -> str:
     """Names in a sentence."""
-    words = [_words(name) for name in names]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {joint} {words[-1]}"
+    return listed([_words(name) for name in names], joint)
 
 
 def _trials(names: Sequence[str]) -> str:

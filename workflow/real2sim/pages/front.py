@@ -1,4 +1,4 @@
-"""The front of a study's report: what was asked, the answer in four lines, and what to record next."""
+"""The front of a study's report: question, cause, place, how far the gap closes, trust, and what to record next."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from real2sim.diagnosis.decide import NONE
 from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual
-from real2sim.pages.page import percent, rounded
+from real2sim.pages.page import listed, percent, rounded
 from real2sim.pages.validation import latest_first
 
-NONE = "none"
 # Names of a person each up to so many, else their number
 _NAMED = 6
 
@@ -44,7 +44,7 @@ def _people(names: Sequence[str], of: int) -> str:
         return "everyone" if of > 1 else names[0]
     if len(names) > _NAMED:
         return f"{len(names)} of {of} people"
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return listed(names)
 
 
 def _grouped(pairs: Sequence[tuple[str, str]]) -> list[tuple[str, list[str]]]:

@@ -229,6 +229,11 @@ def table(
     )
 
 
+def listed(words: Sequence[str], joint: str = "and") -> str:
+    """Words in a sentence, at least one."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {joint} {words[-1]}"
+
+
 def percent(value: float | None, digits: int = 0) -> str:
     """Share as a percentage with a typographic minus; a dash where there is none."""
     return "\N{EN DASH}" if value is None else f"{style.signed(100 * value, digits)} %"

@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 
 from real2sim.artefacts import read_json
 from real2sim.pages import style
-from real2sim.pages.page import folded, paragraph, percent, rounded, table
+from real2sim.pages.page import folded, listed, paragraph, percent, rounded, table
 
 RECORD_KEYS = ("published", "J", "groups", "causes", "people", "settings", "commit", "date")
 # Causes that are no effects of the catalogue
@@ -110,9 +110,11 @@ def told(record: Mapping[str, Any], figure: str) -> str:
 
 
 def _question(record: Mapping[str, Any]) -> str:
+    noise = next(c["J_within"] for c in record["causes"] if c["cause"] == "nothing")
     return (
-        f"The paper's fits cost J {rounded(record['J'])}, where noise alone costs about 0.02: its simulation has a gap "
-        f"too. Which one unmodelled effect would leave the numbers that it prints? For each, {record['people']} "
+        f"The paper's fits cost J {rounded(record['J'])}, where those of people without any unmodelled effect cost "
+        f"{rounded(noise, 2)}: its simulation has a gap too. Which one unmodelled effect would leave the numbers that "
+        f"it prints? For each, {record['people']} "
         "synthetic people were recorded with that effect, so large that the plain fits cost this J, and put through "
         "the paper's analysis. What was compared: the cost on another trial and another person, the prior and spread "
         "of each parameter, classes, and what lies at bounds."
@@ -131,27 +133,23 @@ def _answer(ranked: Sequence[Cause], others: Sequence[Cause], largest: float) ->
     )
     modest = [c for c in ranked if (c.get("size_median") or 0.0) <= 1]
     if modest:
-        text += f" Only {_listed([_name(c) for c in modest])} leave this J without being exaggerated."
+        text += f" Only {listed([_name(c) for c in modest])} leave this J without being exaggerated."
     unable = [c for c in others if c["cause"] not in NAMES]
     if unable:
         text += (
             f" {len(unable)} other effects cannot leave this J with the motion of these people, up to "
-            f"{rounded(largest, 2)} times the largest published size."
+            f"{rounded(largest, 2)} times the largest published size or as far as their equations mean something."
         )
     return text
 
 
 def _near(ranked: Sequence[Cause], key: str) -> str:
-    return _listed([_with_size(c) for c in ranked if c[key]])
+    return listed([_with_size(c) for c in ranked if c[key]])
 
 
 def _with_size(cause: Cause) -> str:
     size = cause.get("size_median")
     return _name(cause) if size is None else f"{_name(cause)} ({rounded(size, 2)})"
-
-
-def _listed(words: Sequence[str], joint: str = "and") -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {joint} {words[-1]}"
 
 
 def _table(record: Mapping[str, Any], ranked: Sequence[Cause], others: Sequence[Cause]) -> str:

@@ -8,7 +8,7 @@ import io
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -57,13 +57,10 @@ def as_wide_as(recorded: Path, robot: Path, out: Path) -> None:
     spec, other = mujoco.MjSpec.from_file(str(robot)), mujoco.MjSpec.from_file(str(recorded))
     for name in ("interface_left", "interface_right"):
         spec.site(name).pos = other.site(name).pos
-    height = {s: sum(s.body(name).pos[2] for name in _BODIES) for s in (spec, other)}
-    spec.body("arm").pos[2] += height[other] - height[spec]
+    own, wanted = (sum(s.body(name).pos[2] for name in ("base", "arm", "interface")) for s in (spec, other))
+    spec.body("arm").pos[2] += wanted - own
     spec.compile()
     write_text(out, spec.to_xml())
-
-
-_BODIES = ("base", "arm", "interface")
 
 
 def published_j(source: Path) -> float:
@@ -128,7 +125,7 @@ def person_with_cause(
         write_json(out / PERSON, about | {"status": "ok", "sealed": sealed})
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Recorded:
     """A person without an effect, before the recording: settings of the phantom, controllers and MJCF of the robot."""
 
@@ -153,11 +150,11 @@ def _without_effect(
 ) -> dict[str, Any]:
     """Record and fit a person without an effect; where ``tuned``, moving so widely that the fits cost ``wanted``."""
     share, restarts = 1.0, analysis.settings["paper_gap"]["restarts"]
-    for last in range(_TRIES):
+    for tried in range(1, _TRIES + 1):
         j = analysis.fit(recorded.simulate(share), out, restarts)
         print(f"  motion {share:.3g}: J {j:.3g}", file=sys.stderr, flush=True)
         off = math.log(wanted / j)
-        if not tuned or abs(off) < _NEAR_LN or last == _TRIES - 1:
+        if not tuned or abs(off) < _NEAR_LN or tried == _TRIES:
             break
         share *= math.exp(off / _POWER)
     return {"motion_share": share}
@@ -173,7 +170,7 @@ def with_motion(phantom: dict[str, Any], share: float) -> dict[str, Any]:
     return settings
 
 
-@dataclass
+@dataclass(frozen=True)
 class Analysis:
     """The way from recordings to fits: the study's own steps, without a look at the cause."""
 
@@ -241,21 +238,11 @@ def _size_for(wanted: float, recorder: Recorder, analysis: Analysis) -> float:
     best = (0.0, float(sizes[0]))
     for _ in range(options["draws"]):
         recorder.draw()
-        recorded = recorder.record(sizes.tolist())
-        known: dict[int, float] = {}
-
-        def cost(
-            i: int, recorded: list[Simulated | None] = recorded, known: dict[int, float] = known
-        ) -> float:
-            if i not in known:
-                known[i] = _cost(recorded[i], analysis)
-                print(f"  size {sizes[i]:.3g}: J {known[i]:.3g}", file=sys.stderr, flush=True)
-            return known[i]
-
+        cost = _Costs(sizes, recorder.record(sizes.tolist()), analysis)
         low = _bracket(wanted, cost, sizes)
         if low is not None:
             return _between(wanted, sizes, low, cost)
-        reached = [(j, float(sizes[i])) for i, j in known.items() if math.isfinite(j)]
+        reached = [(j, float(sizes[i])) for i, j in cost.known.items() if math.isfinite(j)]
         best = max([*reached, best])
     if best[0] == 0.0:
         raise InputError(
@@ -268,15 +255,32 @@ def _size_for(wanted: float, recorder: Recorder, analysis: Analysis) -> float:
     return best[1]
 
 
-def _cost(simulated: Simulated | None, analysis: Analysis) -> float:
-    """Return J of a plain fit; infinite where there is none, because nothing could be simulated or analysed."""
-    if simulated is None:
-        return math.inf
-    with TemporaryDirectory() as work:
-        try:
-            return analysis.fit(simulated, Path(work), 1)
-        except InputError:
+@dataclass(frozen=True)
+class _Costs:
+    """J of a plain fit by the index of the size, each fitted when it is first asked for.
+
+    Infinite where there is none, because nothing could be simulated or analysed.
+    """
+
+    sizes: np.ndarray
+    recorded: list[Simulated | None]
+    analysis: Analysis
+    known: dict[int, float] = field(default_factory=dict)
+
+    def __call__(self, i: int) -> float:
+        if i not in self.known:
+            self.known[i] = self._fitted(self.recorded[i])
+            print(f"  size {self.sizes[i]:.3g}: J {self.known[i]:.3g}", file=sys.stderr, flush=True)
+        return self.known[i]
+
+    def _fitted(self, simulated: Simulated | None) -> float:
+        if simulated is None:
             return math.inf
+        with TemporaryDirectory() as work:
+            try:
+                return self.analysis.fit(simulated, Path(work), 1)
+            except InputError:
+                return math.inf
 
 
 def _bracket(wanted: float, cost: Callable[[int], float], sizes: np.ndarray) -> int | None:

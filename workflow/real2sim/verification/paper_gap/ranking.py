@@ -90,10 +90,10 @@ def rank_causes(*, cohorts: list[Path], published: Path, settings: Settings, out
     for record in records:
         record["status"] = _status(record, wanted, settings["paper_gap"]["j_tolerance"])
     measured = [r for r in records if "people" in r]
-    numbers = np.array([numbers_of(r["people"], paper, settings) for r in measured])
+    numbers = np.array([numbers_of(r["people"], paper, settings) for r in measured]).reshape(-1, len(NUMBERS))
     ranked = [i for i, r in enumerate(measured) if r["status"] == "ok"]
     goal = np.array([paper.values[name] for name in NUMBERS])
-    usual = usual_misses(numbers[ranked], goal)
+    usual = usual_misses(numbers[ranked], goal) if ranked else np.ones(len(NUMBERS))
     away = distances(numbers, goal, usual)
     resampled = _resampled([measured[i] for i in ranked], paper, goal, usual, settings)
     rows = [_row(r) for r in records if "people" not in r]

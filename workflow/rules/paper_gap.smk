@@ -6,6 +6,7 @@ Steps:   one job per cause and person records the person and fits both dynamic t
          through the paper's statistics; one compares all cohorts with what the paper prints.
 """
 
+
 rule paper_gap_person:
     """One person whose gap has one cause: recorded, ingested, both dynamic trials identified with the plain model."""
     input:

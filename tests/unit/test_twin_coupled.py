@@ -401,6 +401,10 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
         out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
         draw(coupled=[path, path], out=out)
         assert all(p.stat().st_size > 5000 for p in out)
+    # a walker that falls before its first whole stride without a robot, and goes on with one
+    path.write_text(json.dumps(record | {"free": record["free"] | {"gait": {}}}))
+    speed_figure(coupled=[path], out=[tmp_path / "fallen.svg"])
+    assert "1 of 1 seeds not drawn" in (tmp_path / "fallen.svg").read_text()
 
 
 def test_straps_are_told_apart_by_more_than_the_seeds_differ():

@@ -220,9 +220,13 @@ def _change(
 
 def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> None:
     """Draw every condition without factors, and the person's own change, for a joint; count who is hardly walking."""
-    beyond = 0
+    beyond = fallen = 0
     for record in records:
         free = record["free"]
+        if not free["gait"] or not free[joint].get("cycles"):
+            # a walker without a whole stride of its own leaves nothing to compare with
+            fallen += 1
+            continue
         for c in record["conditions"]:
             if c["robot_factors"] or not c["joints"][joint].get("cycles") or not c["gait"]:
                 continue
@@ -246,6 +250,8 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
     if beyond:
         axes.set_xlabel(f"{axes.get_xlabel()}\n{beyond} beyond {_HARDLY_WALKING} % not drawn")
+    if fallen:
+        axes.set_xlabel(f"{axes.get_xlabel()}\n{fallen} of {len(records)} seeds not drawn:\nno free walk")
 
 
 def wrench_figure(*, coupled: list[Path], out: list[Path]) -> None:

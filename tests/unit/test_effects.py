@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.search import Pair, Search, conflict
 from real2sim.effects import chains, lab, timing, tissue
-from real2sim.effects.base import Effect, InterfaceImpedance, Placed, Where
+from real2sim.effects.base import NEUTRAL, Effect, InterfaceImpedance, Placed, Where
 from real2sim.effects.catalogue import EFFECTS, SHIPPED
 from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reaction
 from real2sim.effects.memory import bouc_wen, eyring, maxwell
@@ -71,6 +72,17 @@ def test_an_effect_away_from_rest_changes_the_simulation_at_every_place(effect):
             np.testing.assert_allclose(part[1::2], part[2::2], rtol=0, atol=1e-10)
         away = max(np.abs(part[1:] - part[0]).max() for part in simulated)
         assert away > 1e-5, f"{placed.key}: {away}"
+
+
+def test_two_effects_that_do_not_exclude_each_other_stand_in_one_plant():
+    acting = [effect for effect in SHIPPED if effect.plant is not NEUTRAL]
+    first = [Placed(effect, effect.places(STRAP)[0], SCALES) for effect in acting if effect.places(STRAP)]
+    # what carries the arm takes degrees of freedom of one body, of which MuJoCo has six
+    pairs = [pair for pair in combinations(first, 2) if any(p.effect.plant.carries_arm for p in pair)]
+    assert any(conflict(pair) for pair in pairs)
+    for pair in pairs:
+        if not conflict(pair):
+            assert replay(list(pair)).model.nv > 12
 
 
 def _away(placed: Placed) -> np.ndarray:

@@ -11,7 +11,7 @@ from real2sim.__main__ import main
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.pages.diagnosis import diagnosis_page, diagnosis_table
+from real2sim.pages.diagnosis import answer_words, diagnosis_page, diagnosis_table
 from real2sim.pages.style import PHANTOM_LABEL
 from real2sim.pages.suite import suite_page
 
@@ -238,6 +238,56 @@ def test_page_says_what_the_answer_would_be_for_a_robot_that_was_held_otherwise(
     assert "Next trial: The same trials, begun where the strap pulls at nothing" in text
     same = _diagnosis(otherwise=other | {"robot_holds": "balance", "verdict_set": ["slack"]})
     assert "Had the robot been" not in _page(tmp_path, same | {"verdict_set": ["slack"]}).text
+
+
+def _compared(first, second):
+    """The entry ``machine`` of diagnosis.json: two robots with their probability and plain chi-squared of dynamic_2."""
+    rows = [
+        {
+            "name": name,
+            "probability": probability,
+            "deviance": 0.0,
+            "chi2_plain": {"dynamic_1": chi2, "dynamic_2": chi2},
+            "chi2_expected": {"dynamic_1": 100, "dynamic_2": 100},
+            "J_plain": {"dynamic_1": 0.6, "dynamic_2": 0.6},
+            "verdict": None,
+        }
+        for name, probability, chi2 in (first, second)
+    ]
+    model = None if first[0] == "configured" else "robots/mine.xml"
+    return {"name": first[0], "probability": first[1], "model": model, "compared": rows}
+
+
+def test_page_says_which_robot_held_the_strap_and_what_it_explains(tmp_path):
+    machine = _compared(("study", 0.99, 110.0), ("configured", 0.01, 800.0))
+    gap = _diagnosis()["gap"] | {"J_with_effect": 0.169}
+    d = _diagnosis("none", machine=machine, causes=(), gap=gap)
+    text = _page(tmp_path, d).text
+    assert "The plain model with another robot explains the gap" in text
+    assert (
+        "Not the configured robot held the strap but study (robots/mine.xml), with a probability of 99 %"
+        in text
+    )
+    assert "in units of what noise leaves is 1.1 with study, 8 with the configured one" in text
+    assert "The gap lies in the model of the robot" in text
+    assert "No cause is named" not in text
+    table = tmp_path / "diagnosis.csv"
+    diagnosis_table(diagnoses=[tmp_path / "diagnosis.json"], out=table)
+    row = read_table(table, ("robot", "stage", "gap_closed"))[0]
+    assert (row["robot"], row["stage"]) == ("study", "interface")
+    assert float(row["gap_closed"]) == pytest.approx(0.9, abs=1e-6)
+    assert answer_words(d) == "another robot, study"
+    assert answer_words(d | {"verdict_set": ["tilt"], "verdict": "tilt"}) == "another robot, study + tilt"
+
+
+def test_page_says_that_the_configured_robot_is_right_or_that_nobody_can_tell(tmp_path):
+    certain = _compared(("configured", 0.99, 110.0), ("study", 0.01, 800.0))
+    text = _page(tmp_path / "a", _diagnosis(machine=certain)).text
+    assert "The configured robot held the strap, with a probability of 99 %, and not study." in text
+    even = _compared(("configured", 0.6, 110.0), ("study", 0.4, 120.0))
+    text = _page(tmp_path / "b", _diagnosis(machine=even)).text
+    assert "do not tell which robot held the strap (the configured one 60 %, study 40 %)" in text
+    assert "held the strap" not in _page(tmp_path / "c", _diagnosis()).text
 
 
 def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_path):

@@ -23,8 +23,9 @@ from real2sim.diagnosis.answer import Diagnosis as Answer
 from real2sim.diagnosis.answer import answer
 from real2sim.diagnosis.attribute import candidates, plain_fit
 from real2sim.diagnosis.described_trial import DescribedTrial
-from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.evidence import CONFIGURED, Evidence
 from real2sim.diagnosis.intervals import Known, parameter_verdicts
+from real2sim.diagnosis.machines import Machine, search_machines
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.system_evidence import SystemEvidence
@@ -260,6 +261,7 @@ def diagnose(
     held_out: Recording,
     quiet: Recording | None = None,
     further: Sequence[Recording] = (),
+    others: Mapping[str, System] | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], None] | None = None,
     threads: int = 1,
@@ -267,8 +269,9 @@ def diagnose(
     """Find which unmodelled effect causes the gap between a system's simulation and its recordings.
 
     Effects are fitted to ``train`` and judged on ``held_out``, a recording of another regime, and on ``further`` ones,
-    such as the trial that an answer proposed; ``quiet`` and ``settings`` as of `identify`. ``progress`` is called with
-    a line now and then, by default it goes to stderr.
+    such as the trial that an answer proposed; ``quiet`` and ``settings`` as of `identify`. ``others`` are other models
+    of the machine, by a name of yours, which read the same columns: evidence tells which of all was recorded, and the
+    answer is that with the likeliest. ``progress`` is called with a line now and then, by default it goes to stderr.
 
     Raises
     ------
@@ -286,6 +289,38 @@ def diagnose(
     tell = progress or (lambda text: print(f"{system.name}: {text}", file=sys.stderr, flush=True))
     findings = [f for r in given for f in r.findings] + list(_odd_channels(system, recordings, options))
     _tell_findings(findings, tell)
+    more = tuple(r.name for r in further)
+    systems = {CONFIGURED: system, **(others or {})}
+    machines: list[Machine] = []
+    trials = {
+        name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)
+        for name, each in systems.items()
+    }
+    if others:
+        machines = search_machines(trials)
+        system, outcome = systems[machines[0].name], machines[0].searched
+    else:
+        outcome = search_both_ways(trials[CONFIGURED])
+    plain = dict(
+        zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
+    )
+    near = options["diagnosis"]["described"]["channels"]["bound_share"]
+    doubts = list(units_in_doubt(system, plain, train.name, near))
+    _tell_findings(doubts, tell)
+    return Diagnosis(system, answer(outcome, options, tell, machines=machines), (*findings, *doubts))
+
+
+def _trials(
+    system: System,
+    recordings: Mapping[str, Recording],
+    quiet: Recording | None,
+    options: Settings,
+    tell: Callable[[str], None],
+    pair: tuple[str, str],
+    further: tuple[str, ...],
+    threads: int,
+) -> Trials:
+    """Return the fitted, the held-out and further recordings, by name, of one system."""
     loaded = {n: _evidence(system, r, quiet, options, threads) for n, r in recordings.items()}
 
     def load(name: str, settled: bool) -> Evidence:
@@ -294,16 +329,7 @@ def diagnose(
     def places(pair: Pair) -> list[Placed]:
         return [p for p in candidates(system, pair.train.scales) if supports(p)]
 
-    more = tuple(r.name for r in further)
-    trials = Trials(train.name, held_out.name, system, load, options["diagnosis"], tell, places, more)
-    outcome = search_both_ways(trials)
-    plain = dict(
-        zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
-    )
-    near = options["diagnosis"]["described"]["channels"]["bound_share"]
-    doubts = list(units_in_doubt(system, plain, train.name, near))
-    _tell_findings(doubts, tell)
-    return Diagnosis(system, answer(outcome, options, tell), (*findings, *doubts))
+    return Trials(*pair, system, load, options["diagnosis"], tell, places, further)
 
 
 def _tell_findings(findings: Sequence[Finding], tell: Callable[[str], None]) -> None:

@@ -749,6 +749,7 @@ DiagnosisSettings = TypedDict(
     "DiagnosisSettings",
     {
         "robot_holds": str,
+        "robots": dict[str, str],
         "left_out": list[str],
         "noise_draws": int,
         "noise": DiagnosisNoiseSettings,

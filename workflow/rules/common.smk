@@ -353,9 +353,34 @@ def recorded_with(cause):
     """MJCF and controllers, as JSON, of the robot that holds the strap in the recordings of a cohort with one cause."""
     if cause != STUDY_ROBOT:
         return ROBOT, settings_of("robot")
-    source = Path(STUDY["paper_gap"]["study_robot"])
+    other = robot_of(Path(STUDY["paper_gap"]["study_robot"]))
+    return other["model"], json.dumps(other["robot"])
+
+
+def robot_of(source):
+    """MJCF and controllers of the robot that a configuration of the study names."""
     other = asked_for(lambda: validated(read_yaml(source), "config", source))
-    return other["paths"]["robot"], json.dumps(other["robot"])
+    return {"model": other["paths"]["robot"], "robot": other["robot"]}
+
+
+@functools.cache
+def other_robots():
+    """Robots, by name, that may have held the strap beside the configured one."""
+    return {name: robot_of(Path(source)) for name, source in STUDY["diagnosis"]["robots"].items()}
+
+
+def models_of_other_robots(wildcards):
+    """Files of the models of the other robots."""
+    return [other["model"] for other in other_robots().values()]
+
+
+@functools.cache
+def content_of_robots():
+    """Content of the models of the configured robot and of the others."""
+    others = (Path(other["model"]) for other in other_robots().values())
+    return CONTENTS.of(
+        [*model_files(Path(ROBOT)), *(path for model in others for path in model_files(model))]
+    )
 
 
 def no_such_person(wildcards):

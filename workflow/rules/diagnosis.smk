@@ -49,6 +49,7 @@ rule diagnose:
         limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
         step=lambda wildcards: where_limits_are_known(wildcards, "plant"),
         robot=ROBOT,
+        robots=models_of_other_robots,
         lock="environment-lock.txt",
     output:
         answer="results/diagnosis/{subject}/diagnosis.json",
@@ -70,13 +71,14 @@ rule diagnose:
         neutral=lambda wildcards, input: Path(input.neutral).parent,
         known=lambda wildcards, input: given(limits=input.limits, step=input.step),
         settings=DIAGNOSIS_SETTINGS,
-        robot=ROBOT_CONTENT,
+        robots=lambda wildcards: json.dumps(other_robots()),
+        robot=lambda wildcards: content_of_robots(),
         code=code("diagnose"),
     shell:
         "python -m real2sim diagnose --subject {wildcards.subject} --train {params.train:q}"
         " --held-out {params.held_out:q} {params.further:q} --neutral {params.neutral:q} --gates {input.gates:q} {params.known:q}"
-        " --robot {input.robot:q} --settings {params.settings:q} --out {output.answer:q} --traces {output.traces:q}"
-        " --threads {threads}"
+        " --robot {input.robot:q} --robots {params.robots:q} --settings {params.settings:q} --out {output.answer:q}"
+        " --traces {output.traces:q} --threads {threads}"
         " 2>&1 | tee {log:q}"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.layers import layered
+from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
 from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart, with_law
 from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
 from real2sim.diagnosis.refit import Hypothesis
@@ -82,11 +83,13 @@ class Cause:
 class Fits:
     """Everything that was fitted to two trials, and the fit that an answer rests on.
 
+    ``plain_path`` (n, ...) is what the plain plant makes of the observations of the trial that shows the gap.
     ``law`` is the fit with the measured law, where no name fits and one was measured.
     """
 
     found: Found
     fitted: Hypothesis
+    plain_path: np.ndarray = field(repr=False)
     law: Hypothesis | None = None
 
 
@@ -95,13 +98,15 @@ class Beyond:
     """Sections of diagnosis.json that go beyond names, each None where it does not apply.
 
     ``free_form`` is the measured law where no name fits, ``misfit`` what a named cause leaves, ``could_show`` from
-    which size effects would have been seen where there is `none`, ``proposed_trial`` what parts the leading hypotheses.
+    which size effects would have been seen where there is `none`, ``proposed_trial`` what parts the leading hypotheses,
+    ``machine`` which machine held the interface, of several.
     """
 
     free_form: dict[str, Any] | None = None
     misfit: dict[str, Any] | None = None
     could_show: list[dict[str, Any]] | None = None
     proposed_trial: dict[str, Any] | None = None
+    machine: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,14 +147,14 @@ class Diagnosis:
     def traces(self) -> dict[str, np.ndarray]:
         """Return columns (n,) of the trial that shows the gap: time [s]; measured, plain and with effect."""
         pair = self.found.pair
-        plain, best = (simulate(pair.shown, pair, h) for h in (self.found.attribution.plain, self.fitted))
-        return pair.shown.traces(plain, best)
+        return pair.shown.traces(self.fits.plain_path, simulate(pair.shown, pair, self.fitted))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json says of the answer."""
         return {
             "robot_holds": self.found.initial_state,
             "otherwise": self.otherwise,
+            "machine": self.beyond.machine,
             "free_form": self.beyond.free_form,
             "misfit": self.beyond.misfit,
             "could_show": self.beyond.could_show,
@@ -193,11 +198,13 @@ def answer(
     settings: Settings,
     progress: Callable[[str], None] = lambda text: None,
     imagine: Imagine | None = None,
+    machines: Sequence[Machine] = (),
 ) -> Diagnosis:
     """Turn what was found into an answer; ``settings``: slices ``diagnosis`` and ``identifiability``.
 
     Where the verdict is `unknown`, the law is measured that explains the gap, if one does. ``progress`` is told;
-    ``imagine`` gives trials that could be recorded next.
+    ``imagine`` gives trials that could be recorded next. ``machines`` are those that the likeliest one, with which the
+    outcome was found, was compared with; it stands first.
     """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     own, misfit, measured = _checked(found, own, options, progress)
@@ -211,12 +218,15 @@ def answer(
             named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
             least = options["calibration"]["ambiguity_probability"]
             decision = averaged(own, under_other, share, least, named)
+    if machines:
+        decision = with_others(decision, machines, options)
     progress(f"verdict {decision.verdict}")
-    account = _Account(found, decision, settings)
+    account = _Account(found, decision, settings, configured(machines))
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:
         result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged))
     result = account.with_more(result, misfit, measured, progress, imagine)
+    result = replace(result, beyond=replace(result.beyond, machine=describe_machines(machines, options)))
     if not share or other is None:
         return result
     theirs = _Account(other, under_other, settings).causes()
@@ -316,13 +326,17 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
 class _Account:
     """Account of one search and its decision."""
 
-    def __init__(self, found: Found, decision: Decision, settings: Settings):
+    def __init__(self, found: Found, decision: Decision, settings: Settings, before: Machine | None = None):
+        # the gap is that of the machine that the study is configured with
+        self._before, self._before_pair = found.attribution.plain, found.pair
+        if before is not None:
+            self._before, self._before_pair = before.plain, before.pair
         self._found, self._decision, self._settings = found, decision, settings
         self._report: DiagnosisReportSettings = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
         self._best = chosen(found.attribution, decision)
         shown = found.pair.shown
-        self._plain_path = simulate(shown, found.pair, found.attribution.plain)
+        self._plain_path = simulate(self._before_pair.shown, self._before_pair, self._before)
         self._floor_draws = shown.floor_draws()
         self._floor = float(self._floor_draws.mean())
 
@@ -345,7 +359,7 @@ class _Account:
             baselines,
             next_trial(decision, self._report["next_trial_certain"]),
             otherwise,
-            Fits(self._found, self._best),
+            Fits(self._found, self._best, self._plain_path),
         )
 
     def _further(self) -> list[dict[str, Any]]:
@@ -366,7 +380,7 @@ class _Account:
         }
 
     def _gap(self) -> dict[str, Any]:
-        shown, plain = self._pair.shown, self._attribution.plain
+        shown = self._pair.shown
         base = float(shown.j(self._plain_path[None])[0])
         best_path = simulate(shown, self._pair, self._best)
         return {
@@ -374,7 +388,7 @@ class _Account:
             "J_floor": self._floor,
             "visibility": (base - self._floor) / self._floor,
             "J_with_effect": float(shown.j(best_path[None])[0]),
-            "chi2_plain": list(plain.chi2),
+            "chi2_plain": list(self._before.chi2),
             "chi2_best": list(self._best.chi2),
             "chi2_expected": list(self._attribution.samples),
             "further": self._further(),
@@ -383,23 +397,33 @@ class _Account:
     def _where(self, named: bool) -> dict[str, Any]:
         shown = self._pair.shown
         stages = _stages(self._attribution, self._decision)
+        named = named or self._before is not self._attribution.plain
         explained = simulate(shown, self._pair, self._best) if named else None
         placed = [p for p in self._best.effects if p.effect.name == self._decision.verdict]
         return {
-            "stage": placed[0].effect.stage if placed else max(stages, key=lambda s: stages[s]),
+            "stage": placed[0].effect.stage if placed else self._stage_without_effect(stages),
             "stages": stages,
             "axes": _axes(self._best, shown.axis_shares(self._plain_path), self._report["axis_share"]),
         } | shown.locate(self._plain_path, explained)
+
+    def _stage_without_effect(self, stages: dict[str, float]) -> str:
+        """Return the stage with the likeliest effects; that of the machine where another one explains the gap."""
+        if self._before is not self._attribution.plain and self._decision.verdict == NONE:
+            return "robot"
+        return max(stages, key=lambda s: stages[s])
 
     def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
         system = self._pair.system
         samples = self._attribution.samples[0]
         known = parameter_verdicts(self._pair, self._best, samples, self._settings)
-        base = system.values(self._attribution.plain.base)
+        # another machine may come with other parameters
+        base = dict(zip(system.parameter_names, system.values(self._attribution.plain.base), strict=True))
+        other = self._before_pair.system
+        base |= dict(zip(other.parameter_names, other.values(self._before.base), strict=True))
         fitted = system.values(self._best.base)
         return {
             p.name: {
-                "base": float(a),
+                "base": float(base[p.name]),
                 "with_effect": float(k.unbiased if named else b),
                 "fitted": float(b),
                 "unit": p.unit,
@@ -407,7 +431,7 @@ class _Account:
                 "bias_ln": k.bias_ln,
                 "verdict": k.verdict,
             }
-            for p, a, b, k in zip(system.parameters, base, fitted, known, strict=True)
+            for p, b, k in zip(system.parameters, fitted, known, strict=True)
         }
 
     def causes(self) -> list[Cause]:

@@ -18,6 +18,8 @@ from real2sim.system.linear import ForceResponse
 
 # Initial-state hypotheses: the machine is released at the start pose, or in static equilibrium with the interface
 START_POSE, BALANCE = "start pose", "balance"
+# Name of the machine that a study is configured with, beside those that it is compared with
+CONFIGURED = "configured"
 
 
 class Simulation(Protocol):
@@ -82,6 +84,10 @@ class Evidence(Protocol):
     @property
     def noise(self) -> np.ndarray:
         """Simulated residuals (draws, n, c) of a perfect model."""
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the determinant of the noise covariance: with it, chi-squared is a likelihood."""
 
     @property
     def cost(self) -> Cost:

@@ -86,7 +86,13 @@ class Screened:
 
 
 def conflict(effects: Sequence[Placed]) -> bool:
-    """Two effects cannot both stand for the spring of one axis, nor two forms of one law for what it does there."""
+    """Return whether effects exclude each other.
+
+    Two cannot both stand for the spring of one axis, nor two forms of one law for what it does there, nor both carry
+    the arm.
+    """
+    if sum(placed.effect.plant.carries_arm for placed in effects) > 1:
+        return True
     taken = [axis for placed in effects if placed.effect.plant.replaces_spring for axis in placed.where.axes]
     laws = [(p.effect.name, p.where.axes, p.where.side) for p in effects if len(p.where.axes) == 1]
     return len(taken) != len(set(taken)) or len(laws) != len(set(laws))

@@ -49,6 +49,7 @@ class Trials:
     ``load`` maps a trial's name and an initial-state hypothesis (True: in static equilibrium) to its evidence;
     ``options`` is the slice ``diagnosis`` of the configuration; ``progress`` is told what is going on; ``places`` are
     the effects to try, None for everything everywhere; ``further`` are more trials that fits have to predict.
+    ``prepared`` is what `prepare` has returned before, so that it is not done twice.
     """
 
     train: str
@@ -59,17 +60,20 @@ class Trials:
     progress: Callable[[str], None]
     places: Callable[[Pair], list[Placed]] | None = None
     further: tuple[str, ...] = ()
+    prepared: tuple[Pair, np.ndarray] | None = field(default=None, repr=False)
 
     @property
     def exchanged(self) -> Trials:
         """The same two trials, the second fitted and the first predicted."""
-        return replace(self, train=self.held_out, held_out=self.train)
+        return replace(self, train=self.held_out, held_out=self.train, prepared=None)
 
     def prepare(self, *, settled: bool = False) -> tuple[Pair, np.ndarray]:
         """Return evidence of both trials, whitened, and the plain fit (n,) of the fitted one.
 
         The noise is simulated at a fit of the plain cost, and once more at the fit that it whitens.
         """
+        if self.prepared is not None and self.prepared[0].train.settled == settled:
+            return self.prepared
         search, draws = self.options["search"], self.options["noise_draws"]
         lower, upper = self.system.bounds()
         train = self.load(self.train, settled)
@@ -82,12 +86,14 @@ class Trials:
         z = Search(pair, search).fit((), z).z
         return _with_noise(pair, self.system.values(z), draws, search["seed"]), z
 
+    def placed(self, pair: Pair) -> list[Placed]:
+        """Return the effects to try at their places, without those that are left out."""
+        places = candidates(pair.system, pair.train.scales) if self.places is None else self.places(pair)
+        return without_names(places, self.options["left_out"])
+
     def attribute(self, pair: Pair, z: np.ndarray, complete: Hypothesis | None = None) -> Found:
         """Search for the cause from the plain fit ``z`` (n,); ``complete``: see `attribute`."""
-        options = self.options
-        scales = pair.train.scales
-        places = candidates(pair.system, scales) if self.places is None else self.places(pair)
-        places = without_names(places, options["left_out"])
+        options, places = self.options, self.placed(pair)
         search, calibration = options["search"], options["calibration"]
         found = attribute(pair, z, search, self.progress, places, calibration, complete)
         pair = replace(found.pair, exchanged=pair.exchanged)

@@ -90,6 +90,13 @@ class Whitening:
         _, sizes, directions = np.linalg.svd(plain.in_noise(nuisance), full_matrices=False)
         return cls(bands, plain.matrices, plain.noise, directions, 1 - 1 / np.sqrt(1 + sizes**2))
 
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the determinant of the covariance of noise and nuisance together, of all residuals."""
+        counts = np.bincount(self.bands.index(), minlength=len(self.matrices))
+        noise = -2 * counts @ np.linalg.slogdet(self.matrices)[1]
+        return float(noise - 2 * np.log1p(-self.discounts).sum())
+
     def in_noise(self, error: np.ndarray) -> np.ndarray:
         """Return residuals (m, n_r) in units of simulated noise alone, of residuals (m, n, c)."""
         coefficients, band = self.bands.spectrum(error), self.bands.index()

@@ -191,6 +191,7 @@ class Rocking(Mechanism):
     that rock beside the arm [kg m2]. The hinges are hidden and carry the arm.
     """
 
+    carries_arm = True
     kinds = ("place", "dissipative")
 
     def _names(self, where: Where) -> list[str]:
@@ -220,6 +221,7 @@ class Bending(Mechanism):
     carry the arm.
     """
 
+    carries_arm = True
     kinds = ("place", "dissipative")
 
     def _names(self, where: Where) -> list[str]:

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from real2sim.artefacts import read_json, write_table
+from real2sim.diagnosis.evidence import CONFIGURED
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
@@ -44,6 +45,7 @@ COLUMNS = (
     "verdict",
     "verdict_set",
     "probability",
+    "robot",
     "stage",
     "axes",
     "J_base",
@@ -126,15 +128,16 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     rows = []
     for path in diagnoses:
         d = read_json(path, _KEYS)
-        named, gap = d["verdict"] not in _NOT_EFFECTS, d["gap"]
+        named, gap = is_explained(d), d["gap"]
         rows.append(
             {
                 "subject": d["subject"],
                 "verdict": d["verdict"],
                 "verdict_set": " ".join(_set(d)),
                 "probability": d["probabilities"][d["verdict"]],
-                "stage": None if d["verdict"] == "none" else d["where"]["stage"],
-                "axes": None if d["verdict"] == "none" else " ".join(_main_axes(d)),
+                "robot": None if d.get("machine") is None else d["machine"]["name"],
+                "stage": None if not shows_gap(d) else d["where"]["stage"],
+                "axes": None if not shows_gap(d) else " ".join(_main_axes(d)),
                 "J_base": gap["J_base"],
                 "J_floor": gap["J_floor"],
                 "J_with_effect": gap["J_with_effect"],
@@ -157,9 +160,28 @@ def _misfit_sd(d: Mapping[str, Any]) -> float | None:
     return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
 
 
+def other_robot(d: Mapping[str, Any]) -> str | None:
+    """Name of the robot that diagnosis.json finds in the place of the configured one; None where it finds none."""
+    machine = d.get("machine")
+    return None if machine is None or machine["name"] == CONFIGURED else str(machine["name"])
+
+
+def shows_gap(d: Mapping[str, Any]) -> bool:
+    """Return whether diagnosis.json finds something that the configured model lacks."""
+    return d["verdict"] != "none" or other_robot(d) is not None
+
+
+def is_explained(d: Mapping[str, Any]) -> bool:
+    """Return whether diagnosis.json finds what explains the gap: effects, or another robot without any."""
+    return d["verdict"] not in _NOT_EFFECTS or (d["verdict"] == "none" and shows_gap(d))
+
+
 def answer_words(d: Mapping[str, Any]) -> str:
-    """Effects that diagnosis.json names together, or none or unknown."""
-    return " + ".join(_words(name) for name in _set(d))
+    """Effects that diagnosis.json names together, or none or unknown; first the robot where it is another one."""
+    names, robot = _set(d), other_robot(d)
+    if robot is None:
+        return " + ".join(_words(name) for name in names)
+    return " + ".join([f"another robot, {robot}", *(_words(name) for name in names if name != "none")])
 
 
 def answer_probability(d: Mapping[str, Any]) -> float:
@@ -183,7 +205,7 @@ def chi2_closed(d: Mapping[str, Any]) -> float | None:
     What fits better than noise closes all.
     """
     both = chi2_per_residual(d)
-    if both is None or d["verdict"] in _NOT_EFFECTS or both[0] <= 1:
+    if both is None or not is_explained(d) or both[0] <= 1:
         return None
     return (both[0] - max(both[1], 1.0)) / (both[0] - 1)
 
@@ -255,7 +277,7 @@ def _closed(gap: Mapping[str, Any]) -> float | None:
 def _lead(d: Mapping[str, Any]) -> list[str]:
     parts = [paragraph(_verdict(d), "lead")]
     misfit = misfit_sentence(d.get("misfit"))
-    parts += [paragraph(text) for text in (misfit, _exchanged(d), _hold(d))]
+    parts += [paragraph(text) for text in (_robot(d), misfit, _exchanged(d), _hold(d))]
     parts.append(f"<p><strong>Next trial:</strong> {escape(_sentence(_trial(d)))}.</p>")
     for trial, gates in d["refused_gates"].items():
         what = (
@@ -332,12 +354,41 @@ def _hold(d: Mapping[str, Any]) -> str:
     )
 
 
+def _robot(d: Mapping[str, Any]) -> str:
+    """Return which of the compared robots held the strap, in two sentences; empty where none were compared."""
+    machine = d.get("machine")
+    if machine is None:
+        return ""
+    rows = {row["name"]: row for row in machine["compared"]}
+    first, rest = machine["name"], [name for name in rows if name != machine["name"]]
+    certain, least = machine["probability"], f"with a probability of {percent(machine['probability'])}"
+    if certain < _CLEARLY:
+        each = ", ".join(f"{_robot_words(name)} {percent(row['probability'])}" for name, row in rows.items())
+        verdict = f"These trials do not tell which robot held the strap ({each}); the answer is that with the first."
+    elif first == CONFIGURED:
+        verdict = f"The configured robot held the strap, {least}, and not {_listed(rest, 'or')}."
+    else:
+        verdict = f"Not the configured robot held the strap but {first} ({machine['model']}), {least}."
+    trial = _shown(d)[0]
+    left = ", ".join(
+        f"{rounded(row['chi2_plain'][trial] / row['chi2_expected'][trial])} with {_robot_words(name)}"
+        for name, row in rows.items()
+    )
+    return f"{verdict} Without any effect, the misfit of {trial} in units of what noise leaves is {left}."
+
+
+def _robot_words(name: str) -> str:
+    return "the configured one" if name == CONFIGURED else name
+
+
 def _verdict(d: Mapping[str, Any]) -> str:
     """Cause, probability and what is left, in one sentence."""
     gap, p = d["gap"], d["probabilities"]
     base, floor, after = (rounded(gap[key], 4) for key in ("J_base", "J_floor", "J_with_effect"))
     held_out = _shown(d) == d["held_out"]
     trial = f"the held-out trial {_trials(_shown(d))}" if held_out else _trials(_shown(d))
+    if d["verdict"] == "none" and other_robot(d):
+        return f"The plain model with another robot explains the gap; on {trial}, {_left(d, base, floor, after)}."
     if d["verdict"] == "none":
         return (
             f"No cause is named: with a probability of {percent(p['none'])} the plain model is all that the data ask "
@@ -391,11 +442,11 @@ def _spectral(d: Mapping[str, Any]) -> str:
         return ""
     plain, best = both
     text = "Chi-squared weighs each frequency by its own noise and sees more than J; noise alone gives 1 per residual"
-    if d["verdict"] in _NOT_EFFECTS:
+    if not is_explained(d):
         return f"{text}, the plain model {rounded(plain)}."
-    closed = chi2_closed(d)
+    closed, what = chi2_closed(d), "effect" if d["verdict"] != "none" else "other robot"
     left = "" if closed is None else f", {percent(1 - closed, 1)} of what stood above noise is left"
-    return f"{text}, the plain model {rounded(plain)} and the model with the effect {rounded(best)}{left}."
+    return f"{text}, the plain model {rounded(plain)} and the model with the {what} {rounded(best)}{left}."
 
 
 # ---- where
@@ -454,6 +505,8 @@ def _place(d: Mapping[str, Any]) -> str:
     """Return the place of the gap, in a sentence."""
     stage = STAGES.get(d["where"]["stage"], d["where"]["stage"])
     axes = _listed(_main_axes(d) or ["no axis"])
+    if other_robot(d) and d["verdict"] == "none":
+        return f"The gap lies in the model of the robot; it shows along {axes}."
     if d["verdict"] == "none":
         hardly = sum(p for name, p in d["probabilities"].items() if name not in _NOT_EFFECTS) < 0.02
         of = "with next to no probability" if hardly else "that share the probability"
@@ -667,7 +720,7 @@ def _stack(axes: Axes, base: float, after: float, floor: float) -> None:
 def _gap_bar(d: Mapping[str, Any]) -> str:
     gap, floor = d["gap"], d["noise_floor"]
     both = chi2_per_residual(d)
-    named = d["verdict"] not in _NOT_EFFECTS
+    named = is_explained(d)
     words = f"J: noise floor {rounded(gap['J_floor'], 4)}, plain {rounded(gap['J_base'], 4)}"
     words += f", with effect {rounded(gap['J_with_effect'], 4)}" if named else ""
     with page_style():

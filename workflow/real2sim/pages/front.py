@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from real2sim.diagnosis.decide import NONE
-from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual
+from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual, shows_gap
 from real2sim.pages.page import listed, percent, rounded
 from real2sim.pages.validation import latest_first
 
@@ -60,7 +59,7 @@ def _which(diagnoses: Sequence[Diagnosis]) -> str:
 
 
 def _where(diagnoses: Sequence[Diagnosis]) -> str:
-    shown = [d for d in diagnoses if d["verdict"] != NONE]
+    shown = [d for d in diagnoses if shows_gap(d)]
     if not shown:
         return "Nowhere that these recordings show."
     places = [(STAGES.get(d["where"]["stage"], str(d["where"]["stage"])), str(d["subject"])) for d in shown]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,10 @@ import pyarrow.parquet as pq
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.answer import Diagnosis, answer
+from real2sim.diagnosis.evidence import CONFIGURED
+from real2sim.diagnosis.machines import Machine, search_machines
 from real2sim.diagnosis.trials import Trials, search_both_ways
+from real2sim.errors import InputError
 from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
@@ -102,6 +105,7 @@ def diagnose(
     step: Path | None = None,
     gates: list[Path] | None = None,
     traces: Path | None = None,
+    robots: dict[str, Any] | None = None,
     threads: int = 1,
 ) -> None:
     """Find where the gap lies, which effect causes it and how far it shrinks; write diagnosis.json.
@@ -122,37 +126,65 @@ def diagnose(
     traces
         Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
         with effect.
+    robots
+        Other robots that may have held the strap, by name: ``model``, an MJCF, and ``robot``, a slice of that name of
+        the configuration. None compares none.
     threads
         That simulate. The answer is the same bits with any number.
     """
     progress = partial(_print, subject)
     settings = settings | {"plant": settings["plant"] | {"timestep_s": time_step(settings, step)}}
-    trials = strap_trials(
+    with_robot = partial(
+        strap_trials,
         train=train,
         held_out=held_out,
         neutral=neutral,
         limits=limits,
-        robot=robot,
-        settings=settings,
         further=further or (),
         threads=threads,
         progress=progress,
     )
-    outcome = search_both_ways(trials)
+    models, of_robot = _by_robot(robot, robots or {}, settings)
+    machines: list[Machine] = []
+    if len(models) > 1:
+        machines = search_machines(
+            {name: with_robot(robot=models[name], settings=of_robot[name]) for name in models}
+        )
+        settings, outcome = of_robot[machines[0].name], machines[0].searched
+    else:
+        outcome = search_both_ways(with_robot(robot=robot, settings=settings))
     if outcome.found.pair.exchanged or outcome.the_other_way:
         train, held_out = held_out, train
-    result = answer(outcome, settings, progress, imagined_trials)
+    result = answer(outcome, settings, progress, imagined_trials, machines)
     _write_traces(traces, result)
     about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
     about |= {"further": [f.name for f in further or []], "refused_gates": refused_gates(gates or [])}
-    sources = _sources([train, held_out, *(further or [])], limits, robot)
-    write_json(out, about | result.to_dict() | {"settings": settings, "provenance": sources})
+    told = result.to_dict()
+    if machines:
+        name = machines[0].name
+        told["machine"] |= {"model": None if name == CONFIGURED else str(models[name])}
+    sources = _sources([train, held_out, *(further or [])], limits, list(models.values()))
+    write_json(out, about | told | {"settings": settings, "provenance": sources})
 
 
-def _sources(trials: Sequence[Path], limits: Path | None, robot: Path) -> Provenance:
+def _by_robot(
+    robot: Path, robots: Mapping[str, Any], settings: Settings
+) -> tuple[dict[str, Path], dict[str, Settings]]:
+    """Return the MJCF of each robot by name, and the settings of a diagnosis with it; the configured one first."""
+    models, of_robot = {CONFIGURED: robot}, {CONFIGURED: settings}
+    for name, other in robots.items():
+        if name == CONFIGURED:
+            expected = "a name of yours: that one is of paths.robot"
+            raise InputError("diagnosis.robots", name, "a name that is taken", expected, "Rename it.")
+        models[name] = Path(other["model"])
+        of_robot[name] = settings | {"robot": other["robot"]}
+    return models, of_robot
+
+
+def _sources(trials: Sequence[Path], limits: Path | None, robots: Sequence[Path]) -> Provenance:
     """Return the files that an answer was made from, and by which code."""
     tables = [f / f"{table}.parquet" for f in trials for table in ("pose", "markers", "robot")]
-    return provenance([*tables, *([limits] if limits else []), robot], _PACKAGES, fingerprint(__name__))
+    return provenance([*tables, *([limits] if limits else []), *robots], _PACKAGES, fingerprint(__name__))
 
 
 def _write_traces(path: Path | None, result: Diagnosis) -> None:

@@ -78,9 +78,11 @@ def diagnosed_evidence(
     """Return a trial as the diagnosis saw it when it gave its answer (contents of diagnosis.json), not whitened.
 
     ``trial`` and ``neutral`` are folders of canonical tables, ``limits`` the person's joint limits, ``robot`` the MJCF
-    of the robot twin.
+    of the configured robot twin, which an answer may have found that another one stood in for.
     """
-    settings = answer["settings"]
+    settings, machine = answer["settings"], answer.get("machine")
+    if machine is not None and machine["model"] is not None:
+        robot = Path(machine["model"])
     evidence = load_evidence(
         folder=trial,
         neutral=neutral,

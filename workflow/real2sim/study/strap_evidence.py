@@ -175,6 +175,11 @@ class StrapEvidence:
         return self._whitening.noise
 
     @property
+    def log_volume(self) -> float:
+        """Logarithm of the determinant of the residuals' covariance by noise."""
+        return self._whitening.log_volume
+
+    @property
     def _whitening(self) -> Whitening:
         if self.whitening is None:
             raise ValueError("the noise of this trial has not been simulated: call with_noise first")

@@ -1,0 +1,124 @@
+"""Several models of one machine: evidence tells with which of them the recordings were made."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import real2sim as r2s
+from real2sim.diagnosis import machines
+from real2sim.diagnosis.evidence import CONFIGURED
+from real2sim.diagnosis.machines import Machine, probabilities
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.whitening import Bands, Whitening
+from real2sim.errors import InputError
+from real2sim.study.diagnose import diagnose
+from real2sim.system.description import System, shipped
+from real2sim.verification.systems.one_axis import simulate_emps
+
+from tests.unit.test_coupling import CONFIG, ROBOT
+
+
+@pytest.fixture(scope="module")
+def systems(tmp_path_factory) -> tuple[System, System]:
+    """The shipped positioning system, and the same with a spring that no parameter stands for."""
+    folder = tmp_path_factory.mktemp("sprung")
+    for name in ("system.yaml", "emps.xml"):
+        shutil.copy(shipped("emps") / name, folder / name)
+    model = folder / "emps.xml"
+    model.write_text(
+        model.read_text().replace(
+            'name="carriage" type="slide"', 'name="carriage" type="slide" stiffness="300"'
+        )
+    )
+    return System.from_yaml(shipped("emps") / "system.yaml"), System.from_yaml(folder / "system.yaml")
+
+
+@pytest.fixture(scope="module")
+def recordings(systems, tmp_path_factory) -> dict[str, r2s.Recording]:
+    folder = simulate_emps(None, 0.0, seed=2, out=tmp_path_factory.mktemp("emps"), duration_s=6.0)
+    return {
+        name: r2s.Recording.read(systems[0], folder / f"{name}.parquet")
+        for name in ("quiet", "train", "held_out")
+    }
+
+
+def test_the_machine_that_was_recorded_is_found_and_nothing_else_is_named(systems, recordings, tmp_path):
+    right, wrong = systems
+    answer = r2s.diagnose(wrong, **recordings, others={"free": right}, progress=lambda text: None)
+    machine = answer.answer.beyond.machine
+    assert (machine["name"], answer.verdict) == ("free", "none")
+    assert machine["probability"] > 0.9
+    rows = {row["name"]: row for row in machine["compared"]}
+    assert rows[CONFIGURED]["verdict"] is None, "it needs an effect that the other one does not"
+    assert rows[CONFIGURED]["chi2_plain"]["held_out"] > 10 * rows["free"]["chi2_plain"]["held_out"]
+    # the gap is that of the configured machine, and what closes it is the other one
+    gap = answer.answer.gap
+    assert gap["chi2_plain"] == list(rows[CONFIGURED]["chi2_plain"].values())
+    assert sum(gap["chi2_best"]) < 1.1 * sum(gap["chi2_expected"])
+    assert answer.where["stage"] == "robot"
+    assert answer.answer.parameters["mass"]["with_effect"] == pytest.approx(95.1, rel=0.02)
+    assert answer.answer.parameters["mass"]["base"] != pytest.approx(95.1, rel=0.02)
+    answer.save(tmp_path / "diagnosis.json")
+
+
+def test_the_configured_machine_stays_where_it_was_the_recorded_one(systems, recordings):
+    right, wrong = systems
+    answer = r2s.diagnose(right, **recordings, others={"sprung": wrong}, progress=lambda text: None)
+    machine = answer.answer.beyond.machine
+    assert (machine["name"], answer.verdict) == (CONFIGURED, "none")
+    assert machine["probability"] > 0.9
+
+
+def test_no_machine_is_compared_where_none_is_listed(systems, recordings):
+    assert r2s.diagnose(systems[0], **recordings, progress=lambda text: None).answer.beyond.machine is None
+
+
+def _machine(name: str, deviance: float, chi2: float) -> Machine:
+    plain = Hypothesis((), np.zeros(12), (chi2, chi2))
+    found = SimpleNamespace(attribution=SimpleNamespace(plain=plain, hypotheses=[]))
+    return Machine(name, ("a", "b"), None, plain, (1000, 1000), deviance, SimpleNamespace(found=found))
+
+
+def test_machines_share_the_probability_by_their_evidence():
+    options = CONFIG["diagnosis"]
+    alike = probabilities([_machine("a", 2000, 1000), _machine("b", 2000, 1000)], options)
+    assert alike == pytest.approx([0.5, 0.5])
+    far = probabilities([_machine("a", 2000, 1000), _machine("b", 9000, 4500)], options)
+    assert far[0] > 0.99
+    # where even the best of them leaves much, the same difference says less
+    neither = probabilities([_machine("a", 90_000, 45_000), _machine("b", 97_000, 48_500)], options)
+    assert 0.5 < neither[0] < far[0]
+
+
+def test_the_volume_of_the_noise_is_the_determinant_of_its_covariance():
+    rng = np.random.default_rng(0)
+    bands = Bands((0.0, 2.0, 5.0), 100, 0.01)
+    error, nuisance = rng.standard_normal((60, 100, 2)), rng.standard_normal((3, 100, 2))
+    whitening = Whitening.of_noise(bands, error, 0 * error, nuisance, np.array([0.1, 0.1]))
+    # residuals r of covariance C: r' C^-1 r is the sum of squares of what is whitened
+    units = np.eye(bands.last * 2).reshape(-1, bands.last, 2)
+    from scipy.fft import idct
+
+    padded = np.zeros((len(units), 100, 2))
+    padded[:, : bands.last] = units
+    rows = whitening.apply(idct(padded, axis=1, norm="ortho"))
+    assert whitening.log_volume == pytest.approx(-2 * np.linalg.slogdet(rows)[1])
+
+
+def test_the_name_of_the_configured_robot_is_taken(tmp_path):
+    nowhere = tmp_path / "dynamic_1"
+    with pytest.raises(InputError, match="a name that is taken"):
+        diagnose(
+            subject="S01",
+            train=nowhere,
+            held_out=nowhere,
+            neutral=nowhere,
+            robot=Path(ROBOT),
+            settings=CONFIG | {"plant": CONFIG["plant"] | {"timestep_s": 0.01}},
+            out=tmp_path / "diagnosis.json",
+            robots={machines.CONFIGURED: {"model": str(ROBOT), "robot": CONFIG["robot"]}},
+        )

@@ -1,0 +1,204 @@
+"""Which of several machines held the interface: the trials are simulated with each, and evidence tells.
+
+The dynamics of the machine are assumed before anything is fitted, and no effect of the catalogue stands for all of
+them. Where a lab has more than one model of its machine, each is a hypothesis like an effect: what its answer leaves,
+and how many effects that answer needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from real2sim.diagnosis.decide import Decision, averaged, further_price, log_likelihood
+from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, Evidence
+from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.trials import Outcome, Trials, search_both_ways
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine that may have held the interface: its plain fit, and the search for a cause with it.
+
+    ``trials`` are the names of the fitted and of the held-out one, ``pair``, ``plain`` and ``samples`` in their order.
+    ``deviance`` is minus twice the logarithm of the evidence of its answer. ``outcome`` is None where only single
+    effects were tried: the plain fit leaves more than noise, and another machine's leaves noise alone.
+    """
+
+    name: str
+    trials: tuple[str, str]
+    pair: Pair
+    plain: Hypothesis
+    samples: tuple[int, int]
+    deviance: float
+    outcome: Outcome | None = None
+
+    @property
+    def searched(self) -> Outcome:
+        """Result of its search, which the likeliest machine always has."""
+        if self.outcome is None:
+            raise ValueError(f"{self.name} was not searched")
+        return self.outcome
+
+    @property
+    def left(self) -> float:
+        """Chi-squared beyond its expectation that the best set of effects leaves, at least 0."""
+        found = self.searched.found.attribution
+        best = min(sum(h.chi2) for h in (found.plain, *found.hypotheses))
+        return max(best - sum(self.samples), 0.0)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """Two trials with one machine before the search: whitened, the plain fit, and whether it leaves noise alone."""
+
+    trials: Trials
+    pair: Pair
+    plain: Hypothesis
+    is_noise: bool
+
+    @property
+    def volume(self) -> float:
+        """What all answers with this machine have in common: that of the noise, and of the system's parameters."""
+        return self.plain.occam + _volume((self.pair.train, self.pair.held_out))
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the logarithm of the evidence of the plain fit."""
+        return sum(self.plain.chi2) + self.volume
+
+
+def _volume(evidence: Sequence[Evidence]) -> float:
+    return float(sum(e.log_volume for e in evidence))
+
+
+def search_machines(machines: Mapping[str, Trials]) -> list[Machine]:
+    """Search for the cause with each machine, the likeliest first.
+
+    ``machines`` are the same trials with each machine, by its name. The search begins with the machine whose plain fit
+    has most evidence. Where that alone explains the trials, of the others whose plain fits do not only single effects
+    are tried, and everything where one of them comes near.
+    """
+    prepared = {name: _prepare(name, trials) for name, trials in machines.items()}
+    order = sorted(prepared, key=lambda name: prepared[name].deviance)
+    out: list[Machine] = []
+    for name in order:
+        own = prepared[name]
+        simplest = next((m for m in out if _explains_alone(m, own.trials.options)), None)
+        if simplest is not None and not own.is_noise:
+            tried = _with_one_effect(name, own)
+            if tried.deviance > simplest.deviance:
+                out.append(tried)
+                continue
+        out.append(_searched(name, own))
+    return sorted(out, key=lambda m: m.deviance)
+
+
+def _prepare(name: str, trials: Trials) -> _Prepared:
+    options = trials.options
+    pair, z = trials.prepare(settled=options["robot_holds"] == BALANCE)
+    search = Search(pair, options["search"])
+    plain = search.fit((), z, final=True)
+    is_noise = search.is_noise(plain)
+    if not is_noise and options["robot_holds"] == "auto":
+        # one that came to rest against the interface before the record began may need no effect either
+        at_rest = replace(pair, train=pair.train.as_settled(), held_out=pair.held_out.as_settled())
+        settled = Search(at_rest, options["search"])
+        is_noise = settled.is_noise(settled.fit((), plain.z))
+    left, expected = sum(plain.chi2), sum(search.samples)
+    trials.progress(f"{name}: the plain fit leaves chi-squared {left:.0f} of {expected}")
+    return _Prepared(replace(trials, prepared=(pair, z)), pair, plain, is_noise)
+
+
+def _searched(name: str, own: _Prepared) -> Machine:
+    options = own.trials.options
+    outcome = search_both_ways(own.trials)
+    found = outcome.found
+    pair, plain = found.pair, found.attribution.plain
+    volume = plain.occam + _volume((pair.train, pair.held_out, *found.further))
+    names = own.trials.train, own.trials.held_out
+    if pair.exchanged or outcome.the_other_way:
+        names = names[::-1]
+    return Machine(name, names, pair, plain, found.attribution.samples, found.cost(options) + volume, outcome)
+
+
+def _with_one_effect(name: str, own: _Prepared) -> Machine:
+    """Return a machine at what the most promising single effects make of it, refitted as where there is no cause."""
+    options, pair = own.trials.options, own.pair
+    search = Search(pair, options["search"])
+    promising = search.screen(own.plain, own.trials.placed(pair))[: options["search"]["quiet_refits"]]
+    fitted = [search.fit_screened(screened) for screened in promising]
+    left = [sum(h.chi2) + h.occam - own.plain.occam + further_price(options["calibration"]) for h in fitted]
+    best = min([sum(own.plain.chi2), *left])
+    own.trials.progress(f"{name} leaves {best:.0f} with a single effect, and another machine needs none")
+    names = own.trials.train, own.trials.held_out
+    return Machine(name, names, pair, own.plain, search.samples, best + own.volume)
+
+
+def _explains_alone(machine: Machine, options: DiagnosisSettings) -> bool:
+    """Return whether a machine leaves noise alone without any effect."""
+    if machine.outcome is None:
+        return False
+    found = machine.outcome.found
+    is_noise = Search(found.pair, options["search"]).is_noise(found.attribution.plain)
+    return machine.outcome.decision.chosen is None and is_noise
+
+
+def probabilities(machines: Sequence[Machine], options: DiagnosisSettings) -> list[float]:
+    """Return the probability of each machine, equal before the trials; ``options``: slice ``diagnosis``."""
+    best = min(m.deviance for m in machines)
+    left = min(m.left for m in machines if m.outcome is not None)
+    calibration = options["calibration"]
+    rows = np.array([log_likelihood(m.deviance - best, left, calibration) for m in machines])
+    p = np.exp(rows - rows.max())
+    return [float(x) for x in p / p.sum()]
+
+
+def with_others(decision: Decision, machines: Sequence[Machine], options: DiagnosisSettings) -> Decision:
+    """Return the decision with the first machine, its probabilities averaged with those of the others searched.
+
+    The verdict stays that of the likeliest machine.
+    """
+    shares = probabilities(machines, options)
+    total, least = shares[0], options["calibration"]["ambiguity_probability"]
+    for machine, share in zip(machines[1:], shares[1:], strict=True):
+        if machine.outcome is not None:
+            total += share
+            decision = averaged(decision, machine.outcome.decision, share / total, least)
+    return decision
+
+
+def configured(machines: Sequence[Machine]) -> Machine | None:
+    """Return the configured machine where another one is likelier, None where it is the likeliest or the only one."""
+    if not machines or machines[0].name == CONFIGURED:
+        return None
+    return next(m for m in machines if m.name == CONFIGURED)
+
+
+def describe_machines(machines: Sequence[Machine], options: DiagnosisSettings) -> dict[str, Any] | None:
+    """Return the entry ``machine`` of diagnosis.json: the likeliest one, and each that was compared; None for none."""
+    if not machines:
+        return None
+    shares = probabilities(machines, options)
+    rows = [_row(machine, share) for machine, share in zip(machines, shares, strict=True)]
+    return {"name": machines[0].name, "probability": shares[0], "compared": rows}
+
+
+def _row(machine: Machine, probability: float) -> dict[str, Any]:
+    outcome, names = machine.outcome, machine.trials
+    return {
+        "name": machine.name,
+        "probability": probability,
+        "deviance": machine.deviance,
+        "chi2_plain": dict(zip(names, machine.plain.chi2, strict=True)),
+        "chi2_expected": dict(zip(names, machine.samples, strict=True)),
+        "J_plain": dict(zip(names, machine.plain.j, strict=True)),
+        "verdict": None if outcome is None else outcome.decision.verdict,
+    }

@@ -15,6 +15,7 @@ from real2sim.diagnosis.machines import Machine, probabilities
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.whitening import Bands, Whitening
 from real2sim.errors import InputError
+from real2sim.study import diagnosis_model
 from real2sim.study.diagnose import diagnose
 from real2sim.system.description import System, shipped
 from real2sim.verification.systems.one_axis import simulate_emps
@@ -122,3 +123,32 @@ def test_the_name_of_the_configured_robot_is_taken(tmp_path):
             out=tmp_path / "diagnosis.json",
             robots={machines.CONFIGURED: {"model": str(ROBOT), "robot": CONFIG["robot"]}},
         )
+
+
+@pytest.mark.parametrize(
+    ("machine", "used"),
+    [
+        (None, "robot.xml"),
+        ({"name": CONFIGURED, "model": None}, "robot.xml"),
+        ({"name": "study", "model": "other.xml"}, "other.xml"),
+    ],
+)
+def test_the_diagnosed_model_has_the_robot_that_was_found(monkeypatch, tmp_path, machine, used):
+    asked = {}
+
+    def load(**given):
+        asked.update(given)
+        return SimpleNamespace(with_scales=lambda scales: None)
+
+    monkeypatch.setattr(diagnosis_model, "load_evidence", load)
+    monkeypatch.setattr(diagnosis_model.NoiseModel, "measure", lambda *given: None)
+    scales = {"scales": {name: [1.0] for name in ("q", "v", "k", "d", "inertia")}}
+    answer = {
+        "settings": {"ingest": {}, "diagnosis": {"noise": {}}},
+        "robot_holds": "balance",
+        "model": scales,
+    }
+    trial = tmp_path / "dynamic_1"
+    diagnosis_model.diagnosed_evidence(answer | {"machine": machine}, trial, trial, None, Path("robot.xml"))
+    assert asked["robot"] == Path(used)
+    assert asked["settings"] is answer["settings"]

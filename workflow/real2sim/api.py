@@ -25,11 +25,11 @@ from real2sim.diagnosis.attribute import candidates, plain_fit
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.evidence import CONFIGURED, Evidence
 from real2sim.diagnosis.intervals import Known, parameter_verdicts
-from real2sim.diagnosis.machines import Machine, search_machines
+from real2sim.diagnosis.machines import search_with
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.system_evidence import SystemEvidence
-from real2sim.diagnosis.trials import Trials, search_both_ways
+from real2sim.diagnosis.trials import Trials
 from real2sim.effects.base import Effect, Placed
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.system_replay import supports
@@ -291,16 +291,14 @@ def diagnose(
     _tell_findings(findings, tell)
     more = tuple(r.name for r in further)
     systems = {CONFIGURED: system, **(others or {})}
-    machines: list[Machine] = []
-    trials = {
-        name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)
-        for name, each in systems.items()
-    }
-    if others:
-        machines = search_machines(trials)
-        system, outcome = systems[machines[0].name], machines[0].searched
-    else:
-        outcome = search_both_ways(trials[CONFIGURED])
+    outcome, machines = search_with(
+        {
+            name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)
+            for name, each in systems.items()
+        }
+    )
+    if machines:
+        system = systems[machines[0].name]
     plain = dict(
         zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
     )

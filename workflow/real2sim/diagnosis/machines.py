@@ -66,7 +66,7 @@ class _Prepared:
 
     @property
     def volume(self) -> float:
-        """What all answers with this machine have in common: that of the noise, and of the system's parameters."""
+        """Volume that all answers with this machine have in common: of the noise and of the system's parameters."""
         return self.plain.occam + _volume((self.pair.train, self.pair.held_out))
 
     @property
@@ -77,6 +77,14 @@ class _Prepared:
 
 def _volume(evidence: Sequence[Evidence]) -> float:
     return float(sum(e.log_volume for e in evidence))
+
+
+def search_with(machines: Mapping[str, Trials]) -> tuple[Outcome, list[Machine]]:
+    """Return what is found with the likeliest machine, and all that were compared; none where only one is given."""
+    if len(machines) == 1:
+        return search_both_ways(*machines.values()), []
+    compared = search_machines(machines)
+    return compared[0].searched, compared
 
 
 def search_machines(machines: Mapping[str, Trials]) -> list[Machine]:

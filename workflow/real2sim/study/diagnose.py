@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.answer import Diagnosis, answer
 from real2sim.diagnosis.evidence import CONFIGURED
-from real2sim.diagnosis.machines import Machine, search_machines
-from real2sim.diagnosis.trials import Trials, search_both_ways
+from real2sim.diagnosis.machines import search_with
+from real2sim.diagnosis.trials import Trials
 from real2sim.errors import InputError
 from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import NoiseModel
@@ -124,11 +124,9 @@ def diagnose(
     gates
         Verdicts on the trials (results/quality/<SUBJECT>/<TRIAL>.json). What they refuse is named in the answer.
     traces
-        Table (Parquet) of the trial that shows the gap: time and, per interface marker and axis, measured, plain and
-        with effect.
+        Table (Parquet) of the trial that shows the gap: time, and markers by axis measured, plain and with effect.
     robots
-        Other robots that may have held the strap, by name: ``model``, an MJCF, and ``robot``, a slice of that name of
-        the configuration. None compares none.
+        Others that may have held the strap, by name: ``model``, an MJCF, and ``robot``, a slice of the configuration.
     threads
         That simulate. The answer is the same bits with any number.
     """
@@ -145,26 +143,35 @@ def diagnose(
         progress=progress,
     )
     models, of_robot = _by_robot(robot, robots or {}, settings)
-    machines: list[Machine] = []
-    if len(models) > 1:
-        machines = search_machines(
-            {name: with_robot(robot=models[name], settings=of_robot[name]) for name in models}
-        )
-        settings, outcome = of_robot[machines[0].name], machines[0].searched
-    else:
-        outcome = search_both_ways(with_robot(robot=robot, settings=settings))
-    if outcome.found.pair.exchanged or outcome.the_other_way:
-        train, held_out = held_out, train
-    result = answer(outcome, settings, progress, imagined_trials, machines)
+    trials = {name: with_robot(robot=models[name], settings=of_robot[name]) for name in models}
+    result, the_other_way = _answered(trials, of_robot, progress)
     _write_traces(traces, result)
-    about = _about(subject, train, held_out, result, the_other_way=outcome.the_other_way)
+    about = _about(subject, train, held_out, result, the_other_way=the_other_way)
     about |= {"further": [f.name for f in further or []], "refused_gates": refused_gates(gates or [])}
-    told = result.to_dict()
-    if machines:
-        name = machines[0].name
-        told["machine"] |= {"model": None if name == CONFIGURED else str(models[name])}
+    told = result.to_dict() | _about_robot(result, models, of_robot)
     sources = _sources([train, held_out, *(further or [])], limits, list(models.values()))
-    write_json(out, about | told | {"settings": settings, "provenance": sources})
+    write_json(out, about | told | {"provenance": sources})
+
+
+def _answered(
+    trials: Mapping[str, Trials], of_robot: Mapping[str, Settings], progress: Callable[[str], None]
+) -> tuple[Diagnosis, bool]:
+    """Return the answer with the likeliest of some robots, by name, and `Outcome.the_other_way` of its search."""
+    outcome, machines = search_with(trials)
+    settings = of_robot[machines[0].name if machines else CONFIGURED]
+    return answer(outcome, settings, progress, imagined_trials, machines), outcome.the_other_way
+
+
+def _about_robot(
+    result: Diagnosis, models: Mapping[str, Path], of_robot: Mapping[str, Settings]
+) -> dict[str, Any]:
+    """Return the entries ``machine``, with the file of the likeliest robot, and ``settings`` of diagnosis.json."""
+    told = result.beyond.machine
+    if told is None:
+        return {"settings": of_robot[CONFIGURED]}
+    name = told["name"]
+    model = None if name == CONFIGURED else str(models[name])
+    return {"machine": told | {"model": model}, "settings": of_robot[name]}
 
 
 def _by_robot(
@@ -199,6 +206,8 @@ def _about(
 ) -> dict[str, Any]:
     """Return the entries of diagnosis.json about the recordings."""
     pair = result.found.pair
+    if pair.exchanged or the_other_way:
+        train, held_out = held_out, train
     by_folder = ((train, pair.train), (held_out, pair.held_out))
     recorded = {folder.name: e.recorded for folder, e in by_folder if isinstance(e, StrapEvidence)}
     return {

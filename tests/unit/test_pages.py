@@ -11,7 +11,7 @@ from real2sim.__main__ import main
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.pages.diagnosis import answer_words, diagnosis_page, diagnosis_table
+from real2sim.pages.diagnosis import answer_probability, answer_words, diagnosis_page, diagnosis_table
 from real2sim.pages.style import PHANTOM_LABEL
 from real2sim.pages.suite import suite_page
 
@@ -277,6 +277,7 @@ def test_page_says_which_robot_held_the_strap_and_what_it_explains(tmp_path):
     assert (row["robot"], row["stage"]) == ("study", "interface")
     assert float(row["gap_closed"]) == pytest.approx(0.9, abs=1e-6)
     assert answer_words(d) == "another robot, study"
+    assert answer_probability(d) == pytest.approx(0.99 * 0.92)
     assert answer_words(d | {"verdict_set": ["tilt"], "verdict": "tilt"}) == "another robot, study + tilt"
 
 

@@ -185,8 +185,12 @@ def answer_words(d: Mapping[str, Any]) -> str:
 
 
 def answer_probability(d: Mapping[str, Any]) -> float:
-    """Probability of the answer of diagnosis.json: effects that are named together share one out between them."""
-    return float(sum(d["probabilities"][name] for name in _set(d)))
+    """Probability of the answer of diagnosis.json: effects that are named together share one out between them.
+
+    Another robot has to be right as well as what is named beside it.
+    """
+    robot = 1.0 if other_robot(d) is None else float(d["machine"]["probability"])
+    return robot * float(sum(d["probabilities"][name] for name in _set(d)))
 
 
 def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -22,6 +22,7 @@ from real2sim.pages.diagnosis import (
     chi2_closed,
     chi2_per_residual,
     digest,
+    shows_gap,
 )
 from real2sim.pages.front import front
 from real2sim.pages.page import (
@@ -1010,13 +1011,12 @@ def _answers_table(study: Study) -> str:
     rows = []
     for d in study.diagnoses:
         gap, where, both = d["gap"], d["where"], chi2_per_residual(d)
-        somewhere = d["verdict"] != "none"
         rows.append(
             [
                 escape(d["subject"]),
                 escape(answer_words(d)),
                 percent(answer_probability(d)),
-                escape(str(where["stage"]) if somewhere else _DASH),
+                escape(str(where["stage"]) if shows_gap(d) else _DASH),
                 rounded(gap["J_base"]),
                 rounded(gap["J_floor"]),
                 rounded(gap["J_with_effect"]),

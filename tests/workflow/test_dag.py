@@ -54,6 +54,20 @@ def test_everyone_is_diagnosed_and_the_tables_stand_twice(project):
     assert "with_effects" not in unseen
 
 
+def test_robots_that_may_have_held_the_strap_are_inputs_of_the_diagnosis_alone(project):
+    listed = 'diagnosis={"robots": {"study": "config/study-robot.yaml"}}'
+    jobs = _jobs(project, "--config", listed)
+    model = "resources/robot/study_planar.xml"
+    assert {job["rule"] for job in jobs if model in job["input"]} == {"diagnose"}
+    asked = [job["command"] for job in jobs if job["rule"] == "diagnose"]
+    assert all(f'"study": {{"model": "{model}", "robot": {{"hold"' in command for command in asked)
+    missing = 'diagnosis={"robots": {"study": "config/nowhere.yaml"}}'
+    done = project.snakemake("-n", "--cores", "1", "--config", missing, check=False)
+    assert done.returncode != 0
+    assert "config/nowhere.yaml" in done.stdout
+    assert "no such file" in done.stdout
+
+
 def test_people_with_a_sealed_gap_are_written_and_analysed_without_it(project):
     jobs = _jobs(project, "--configfile", "config/gap.yaml")
     assert [job["rule"] for job in jobs].count("diagnose") == 6

@@ -152,3 +152,6 @@ def test_the_diagnosed_model_has_the_robot_that_was_found(monkeypatch, tmp_path,
     diagnosis_model.diagnosed_evidence(answer | {"machine": machine}, trial, trial, None, Path("robot.xml"))
     assert asked["robot"] == Path(used)
     assert asked["settings"] is answer["settings"]
+    told = diagnosis_model._verdict({"verdict": "none", "machine": machine})
+    assert told.startswith("none: no effect stands out of the noise")
+    assert ("the robot is study (other.xml)" in told) is (used == "other.xml")

@@ -200,6 +200,13 @@ def _about(placed: Placed, x: np.ndarray) -> dict[str, Any]:
 
 
 def _verdict(answer: dict[str, Any]) -> str:
+    machine = answer.get("machine")
+    if machine is None or machine["model"] is None:
+        return _named(answer)
+    return f"{_named(answer)}; the robot is {machine['name']} ({machine['model']}) and not the configured one"
+
+
+def _named(answer: dict[str, Any]) -> str:
     if answer["verdict"] == "none":
         return "none: no effect stands out of the noise; this is the plain plant with the plain fit"
     if answer["verdict"] == "unknown" and (answer["free_form"] or {}).get("model"):

@@ -78,6 +78,34 @@ def test_no_machine_is_compared_where_none_is_listed(systems, recordings):
     assert r2s.diagnose(systems[0], **recordings, progress=lambda text: None).answer.beyond.machine is None
 
 
+@pytest.mark.parametrize(
+    ("further", "near", "searched"),
+    [((), False, ["right"]), ((), True, ["right", "wrong"]), (("c",), False, ["right", "wrong"])],
+)
+def test_a_machine_that_needs_an_effect_is_searched_where_one_comes_near_or_more_trials_count(
+    monkeypatch, further, near, searched
+):
+    asked = []
+
+    def prepare(name, trials):
+        return SimpleNamespace(
+            trials=trials, deviance={"right": 0.0, "wrong": 9.0}[name], is_noise=name == "right"
+        )
+
+    def search(name, own):
+        asked.append(name)
+        return _machine(name, {"right": 2000.0, "wrong": 3000.0}[name], 1000)
+
+    monkeypatch.setattr(machines, "_prepare", prepare)
+    monkeypatch.setattr(machines, "_searched", search)
+    monkeypatch.setattr(machines, "_explains_alone", lambda machine, options: machine.name == "right")
+    tried = _machine("wrong", 1000.0 if near else 3000.0, 1500)
+    monkeypatch.setattr(machines, "_with_one_effect", lambda name, own: tried)
+    two = SimpleNamespace(further=further, options=None)
+    found = machines.search_machines({"wrong": two, "right": two})
+    assert (asked, [m.name for m in found]) == (searched, ["right", "wrong"])
+
+
 def _machine(name: str, deviance: float, chi2: float) -> Machine:
     plain = Hypothesis((), np.zeros(12), (chi2, chi2))
     found = SimpleNamespace(attribution=SimpleNamespace(plain=plain, hypotheses=[]))

@@ -100,7 +100,8 @@ def search_machines(machines: Mapping[str, Trials]) -> list[Machine]:
     for name in order:
         own = prepared[name]
         simplest = next((m for m in out if _explains_alone(m, own.trials.options)), None)
-        if simplest is not None and not own.is_noise:
+        # further trials count in the evidence of a search alone
+        if simplest is not None and not own.is_noise and not own.trials.further:
             tried = _with_one_effect(name, own)
             if tried.deviance > simplest.deviance:
                 out.append(tried)

@@ -119,6 +119,9 @@ def test_how_far_a_swaying_person_keeps_the_robot_from_balance(tmp_path):
     beside, rate = hold_uncertainty(standing, rising, 50, 100, robot, held)
     np.testing.assert_allclose(rate, [0, 0, 0, 0.02, 0, 0], atol=1e-9)
     np.testing.assert_allclose(beside, 0, atol=1e-9)
+    # a joint that no spring holds has no set-point to be beside
+    free = held | {"base_x": x | {"stiffness": 0}}
+    np.testing.assert_array_equal(hold_uncertainty(swaying, standing, 50, 100, robot, free)[0][0], 0)
 
 
 @pytest.mark.parametrize(

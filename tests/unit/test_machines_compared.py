@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 import real2sim as r2s
 from real2sim.diagnosis import machines
+from real2sim.diagnosis.decide import Decision
 from real2sim.diagnosis.evidence import CONFIGURED
-from real2sim.diagnosis.machines import Machine, probabilities
+from real2sim.diagnosis.machines import Machine, probabilities, with_others
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.whitening import Bands, Whitening
+from real2sim.effects.catalogue import EFFECT_NAMES
 from real2sim.errors import InputError
 from real2sim.study import diagnosis_model
 from real2sim.study.diagnose import diagnose
@@ -109,7 +112,9 @@ def test_a_machine_that_needs_an_effect_is_searched_where_one_comes_near_or_more
 def _machine(name: str, deviance: float, chi2: float) -> Machine:
     plain = Hypothesis((), np.zeros(12), (chi2, chi2))
     found = SimpleNamespace(attribution=SimpleNamespace(plain=plain, hypotheses=[]))
-    return Machine(name, ("a", "b"), None, plain, (1000, 1000), deviance, SimpleNamespace(found=found))
+    trial = SimpleNamespace(samples=1000)
+    pair = SimpleNamespace(train=trial, held_out=trial)
+    return Machine(name, ("a", "b"), pair, plain, deviance, SimpleNamespace(found=found))
 
 
 def test_machines_share_the_probability_by_their_evidence():
@@ -123,7 +128,22 @@ def test_machines_share_the_probability_by_their_evidence():
     assert 0.5 < neither[0] < far[0]
 
 
-def test_the_volume_of_the_noise_is_the_determinant_of_its_covariance():
+def test_effects_that_are_named_together_are_not_confusable_where_machines_are_averaged():
+    two = [_machine("a", 2000, 1000), _machine("b", 2010, 1000)]
+    probabilities_ = dict.fromkeys((*EFFECT_NAMES, "none", "unknown"), 0.0)
+    own = probabilities_ | {"tilt": 0.7, "slack": 0.3}
+    two = [replace(m, outcome=SimpleNamespace(found=m.searched.found, decision=_decision(own))) for m in two]
+    found = with_others(_decision(own), two, CONFIG["diagnosis"], ("tilt", "slack"))
+    assert found.group == ("tilt",)
+    assert found.probabilities == pytest.approx(own)
+    assert with_others(_decision(own), two, CONFIG["diagnosis"], ("tilt",)).group == ("tilt", "slack")
+
+
+def _decision(probabilities_: dict[str, float]) -> Decision:
+    return Decision(probabilities_, np.ones(1), "tilt", ("tilt",), 0)
+
+
+def test_the_determinant_is_that_of_the_covariance_that_whitens():
     rng = np.random.default_rng(0)
     bands = Bands((0.0, 2.0, 5.0), 100, 0.01)
     error, nuisance = rng.standard_normal((60, 100, 2)), rng.standard_normal((3, 100, 2))
@@ -135,10 +155,12 @@ def test_the_volume_of_the_noise_is_the_determinant_of_its_covariance():
     padded = np.zeros((len(units), 100, 2))
     padded[:, : bands.last] = units
     rows = whitening.apply(idct(padded, axis=1, norm="ortho"))
-    assert whitening.log_volume == pytest.approx(-2 * np.linalg.slogdet(rows)[1])
+    assert whitening.log_determinant == pytest.approx(-2 * np.linalg.slogdet(rows)[1])
 
 
-def test_the_name_of_the_configured_robot_is_taken(tmp_path):
+def test_the_name_of_the_configured_robot_is_taken(systems, recordings, tmp_path):
+    with pytest.raises(InputError, match="a name that is taken"):
+        r2s.diagnose(systems[0], **recordings, others={CONFIGURED: systems[1]}, progress=lambda text: None)
     nowhere = tmp_path / "dynamic_1"
     with pytest.raises(InputError, match="a name that is taken"):
         diagnose(

@@ -23,9 +23,9 @@ from real2sim.diagnosis.answer import Diagnosis as Answer
 from real2sim.diagnosis.answer import answer
 from real2sim.diagnosis.attribute import candidates, plain_fit
 from real2sim.diagnosis.described_trial import DescribedTrial
-from real2sim.diagnosis.evidence import CONFIGURED, Evidence
+from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.intervals import Known, parameter_verdicts
-from real2sim.diagnosis.machines import search_with
+from real2sim.diagnosis.machines import beside_configured, search_with
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.system_evidence import SystemEvidence
@@ -276,7 +276,7 @@ def diagnose(
     Raises
     ------
     InputError
-        Where recordings and description do not fit together.
+        Where recordings and description do not fit together, or another model has the name ``configured``.
     """
     options, given = _settings(settings), (train, held_out, *further)
     recordings = {r.name: r for r in given}
@@ -290,7 +290,7 @@ def diagnose(
     findings = [f for r in given for f in r.findings] + list(_odd_channels(system, recordings, options))
     _tell_findings(findings, tell)
     more = tuple(r.name for r in further)
-    systems = {CONFIGURED: system, **(others or {})}
+    systems = beside_configured(system, others or {}, "others")
     outcome, machines = search_with(
         {
             name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)

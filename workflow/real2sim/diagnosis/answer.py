@@ -209,17 +209,17 @@ def answer(
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     own, misfit, measured = _checked(found, own, options, progress)
     decision, share, otherwise = own, 0.0, None
+    named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
     if other is not None:
         under_other = conclude(other, options)
         otherwise = _otherwise(other, under_other)
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
             share = share_of_other(costs, options["calibration"])
-            named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
             least = options["calibration"]["ambiguity_probability"]
             decision = averaged(own, under_other, share, least, named)
     if machines:
-        decision = with_others(decision, machines, options)
+        decision = with_others(decision, machines, options, named)
     progress(f"verdict {decision.verdict}")
     account = _Account(found, decision, settings, configured(machines))
     result = account.diagnosis(otherwise)

@@ -86,7 +86,7 @@ class Evidence(Protocol):
         """Simulated residuals (draws, n, c) of a perfect model."""
 
     @property
-    def log_volume(self) -> float:
+    def log_determinant(self) -> float:
         """Logarithm of the determinant of the noise covariance: with it, chi-squared is a likelihood."""
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,16 +18,19 @@ from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, Evidence
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Outcome, Trials, search_both_ways
+from real2sim.errors import InputError
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisSettings
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Machine:
     """A machine that may have held the interface: its plain fit, and the search for a cause with it.
 
-    ``trials`` are the names of the fitted and of the held-out one, ``pair``, ``plain`` and ``samples`` in their order.
+    ``trials`` are the names of the fitted and of the held-out one, ``pair`` and ``plain`` in their order.
     ``deviance`` is minus twice the logarithm of the evidence of its answer. ``outcome`` is None where only single
     effects were tried: the plain fit leaves more than noise, and another machine's leaves noise alone.
     """
@@ -36,9 +39,13 @@ class Machine:
     trials: tuple[str, str]
     pair: Pair
     plain: Hypothesis
-    samples: tuple[int, int]
     deviance: float
     outcome: Outcome | None = None
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Whitened residuals of the two trials: chi-squared that noise alone leaves."""
+        return self.pair.train.samples, self.pair.held_out.samples
 
     @property
     def searched(self) -> Outcome:
@@ -65,18 +72,27 @@ class _Prepared:
     is_noise: bool
 
     @property
-    def volume(self) -> float:
-        """Volume that all answers with this machine have in common: of the noise and of the system's parameters."""
-        return self.plain.occam + _volume((self.pair.train, self.pair.held_out))
+    def common(self) -> float:
+        """Terms of the deviance that all answers with this machine have in common: `_common`."""
+        return _common(self.plain, (self.pair.train, self.pair.held_out))
 
     @property
     def deviance(self) -> float:
         """Minus twice the logarithm of the evidence of the plain fit."""
-        return sum(self.plain.chi2) + self.volume
+        return sum(self.plain.chi2) + self.common
 
 
-def _volume(evidence: Sequence[Evidence]) -> float:
-    return float(sum(e.log_volume for e in evidence))
+def _common(plain: Hypothesis, evidence: Sequence[Evidence]) -> float:
+    """Return Occam's term of the system's parameters and the log-determinants of the noise of all trials."""
+    return plain.occam + float(sum(e.log_determinant for e in evidence))
+
+
+def beside_configured(own: T, others: Mapping[str, T], source: str) -> dict[str, T]:
+    """Return what is configured and others, by name, that first. Raises InputError where another has its name."""
+    if CONFIGURED in others:
+        expected = "a name of yours: that one is what the study is configured with"
+        raise InputError(source, CONFIGURED, "a name that is taken", expected, "Rename it.")
+    return {CONFIGURED: own, **others}
 
 
 def search_with(machines: Mapping[str, Trials]) -> tuple[Outcome, list[Machine]]:
@@ -131,11 +147,11 @@ def _searched(name: str, own: _Prepared) -> Machine:
     outcome = search_both_ways(own.trials)
     found = outcome.found
     pair, plain = found.pair, found.attribution.plain
-    volume = plain.occam + _volume((pair.train, pair.held_out, *found.further))
+    common = _common(plain, (pair.train, pair.held_out, *found.further))
     names = own.trials.train, own.trials.held_out
     if pair.exchanged or outcome.the_other_way:
         names = names[::-1]
-    return Machine(name, names, pair, plain, found.attribution.samples, found.cost(options) + volume, outcome)
+    return Machine(name, names, pair, plain, found.cost(options) + common, outcome)
 
 
 def _with_one_effect(name: str, own: _Prepared) -> Machine:
@@ -146,9 +162,11 @@ def _with_one_effect(name: str, own: _Prepared) -> Machine:
     fitted = [search.fit_screened(screened) for screened in promising]
     left = [sum(h.chi2) + h.occam - own.plain.occam + further_price(options["calibration"]) for h in fitted]
     best = min([sum(own.plain.chi2), *left])
-    own.trials.progress(f"{name} leaves {best:.0f} with a single effect, and another machine needs none")
+    own.trials.progress(
+        f"{name}: deviance {best:.0f} with the best single effect, and another machine needs none"
+    )
     names = own.trials.train, own.trials.held_out
-    return Machine(name, names, pair, own.plain, search.samples, best + own.volume)
+    return Machine(name, names, pair, own.plain, best + own.common)
 
 
 def _explains_alone(machine: Machine, options: DiagnosisSettings) -> bool:
@@ -170,17 +188,19 @@ def probabilities(machines: Sequence[Machine], options: DiagnosisSettings) -> li
     return [float(x) for x in p / p.sum()]
 
 
-def with_others(decision: Decision, machines: Sequence[Machine], options: DiagnosisSettings) -> Decision:
+def with_others(
+    decision: Decision, machines: Sequence[Machine], options: DiagnosisSettings, named: Sequence[str]
+) -> Decision:
     """Return the decision with the first machine, its probabilities averaged with those of the others searched.
 
-    The verdict stays that of the likeliest machine.
+    The verdict stays that of the likeliest machine, as do the effects that are ``named`` together.
     """
     shares = probabilities(machines, options)
     total, least = shares[0], options["calibration"]["ambiguity_probability"]
     for machine, share in zip(machines[1:], shares[1:], strict=True):
         if machine.outcome is not None:
             total += share
-            decision = averaged(decision, machine.outcome.decision, share / total, least)
+            decision = averaged(decision, machine.outcome.decision, share / total, least, named)
     return decision
 
 

@@ -145,9 +145,9 @@ class SystemEvidence:
         return self._whitening.noise
 
     @property
-    def log_volume(self) -> float:
+    def log_determinant(self) -> float:
         """Logarithm of the determinant of the residuals' covariance by noise."""
-        return self._whitening.log_volume
+        return self._whitening.log_determinant
 
     @property
     def _whitening(self) -> Whitening:

@@ -91,7 +91,7 @@ class Whitening:
         return cls(bands, plain.matrices, plain.noise, directions, 1 - 1 / np.sqrt(1 + sizes**2))
 
     @property
-    def log_volume(self) -> float:
+    def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance of noise and nuisance together, of all residuals."""
         counts = np.bincount(self.bands.index(), minlength=len(self.matrices))
         noise = -2 * counts @ np.linalg.slogdet(self.matrices)[1]

@@ -166,6 +166,11 @@ def other_robot(d: Mapping[str, Any]) -> str | None:
     return None if machine is None or machine["name"] == CONFIGURED else str(machine["name"])
 
 
+def _remedy(d: Mapping[str, Any]) -> str:
+    """Word for what closes the gap: another robot where no effect is named beside it."""
+    return "other robot" if d["verdict"] == "none" and other_robot(d) else "effect"
+
+
 def shows_gap(d: Mapping[str, Any]) -> bool:
     """Return whether diagnosis.json finds something that the configured model lacks."""
     return d["verdict"] != "none" or other_robot(d) is not None
@@ -448,7 +453,7 @@ def _spectral(d: Mapping[str, Any]) -> str:
     text = "Chi-squared weighs each frequency by its own noise and sees more than J; noise alone gives 1 per residual"
     if not is_explained(d):
         return f"{text}, the plain model {rounded(plain)}."
-    closed, what = chi2_closed(d), "effect" if d["verdict"] != "none" else "other robot"
+    closed, what = chi2_closed(d), _remedy(d)
     left = "" if closed is None else f", {percent(1 - closed, 1)} of what stood above noise is left"
     return f"{text}, the plain model {rounded(plain)} and the model with the {what} {rounded(best)}{left}."
 
@@ -726,7 +731,7 @@ def _gap_bar(d: Mapping[str, Any]) -> str:
     both = chi2_per_residual(d)
     named = is_explained(d)
     words = f"J: noise floor {rounded(gap['J_floor'], 4)}, plain {rounded(gap['J_base'], 4)}"
-    words += f", with effect {rounded(gap['J_with_effect'], 4)}" if named else ""
+    words += f", with {_remedy(d)} {rounded(gap['J_with_effect'], 4)}" if named else ""
     with page_style():
         figure = style.new_figure(0.75 + 0.85 * (2 if both else 1), phantom=d["phantom"])
         panels = figure.subplots(2 if both else 1, 1, squeeze=False)[:, 0]
@@ -755,7 +760,7 @@ def _gap_bar(d: Mapping[str, Any]) -> str:
             "gap",
             f"Bars of floor, unexplained and explained. {words}.",
             f"The gap on {_trials(_shown(d))}: noise floor (line, with its 95 % interval; "
-            f"{floor['source']}), what the effect explains, what is left. No unit.",
+            f"{floor['source']}), what the {_remedy(d)} explains, what is left. No unit.",
         )
 
 
@@ -775,7 +780,7 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
         top.plot(time, plain - middle, color=style.VERMILION, linewidth=0.8, linestyle="--", label="plain")
         bottom.plot(time, plain - measured, color=style.VERMILION, linewidth=0.8, linestyle="--")
         if not same:
-            top.plot(time, after - middle, color=style.BLUE, linewidth=0.7, label="with effect")
+            top.plot(time, after - middle, color=style.BLUE, linewidth=0.7, label=f"with {_remedy(d)}")
             bottom.plot(time, after - measured, color=style.BLUE, linewidth=0.7)
         if sd is not None:
             bottom.axhspan(
@@ -788,7 +793,7 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
         bottom.axhline(0, color=style.GREY, linewidth=0.5)
         figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         change = f"RMS {rounded(rms[0])} mm plain" + (
-            "" if same else f", {rounded(rms[1])} mm with the effect"
+            "" if same else f", {rounded(rms[1])} mm with the {_remedy(d)}"
         )
         noise = (
             ""
@@ -821,7 +826,7 @@ def _parameters(d: Mapping[str, Any]) -> str:
     values = table(
         [
             "Parameter",
-            *(["Plain"] if same else ["Plain", "With effect", "Change"]),
+            *(["Plain"] if same else ["Plain", f"With {_remedy(d)}", "Change"]),
             "95 %",
             "Verdict",
             "Unit",
@@ -861,13 +866,13 @@ def _ratio_figure(d: Mapping[str, Any]) -> str:
         style.log_axis(axes.xaxis, 1 / reach, reach)
         axes.set_yticks(range(len(names)), names)
         axes.invert_yaxis()
-        axes.set_xlabel("with effect / plain (logarithmic)")
+        axes.set_xlabel(f"with {_remedy(d)} / plain (logarithmic)")
         return picture(
             figure,
             "ratios",
-            f"Ratio of each parameter with the effect to its plain value. Largest change: {most[1]}, "
+            f"Ratio of each parameter with the {_remedy(d)} to its plain value. Largest change: {most[1]}, "
             f"{rounded(most[0])} times.",
-            "Each parameter with the effect over its plain value. What the effect takes on, they need not mimic.",
+            f"Each parameter with the {_remedy(d)} over its plain value. What that takes on, they need not mimic.",
         )
 
 

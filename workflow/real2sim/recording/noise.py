@@ -425,7 +425,9 @@ def hold_uncertainty(
     inertia = np.diag(mass)[[robot.joint(name).dofadr[0] for name in ROBOT_JOINTS]]
     stiffness, damping = (np.array([held[j][key] for j in ROBOT_JOINTS]) for key in ("stiffness", "damping"))
     first = np.polyfit(np.arange(start) / rate_hz, interface_path(trial)[:start], 1)[0]
-    beside = np.hypot(damping * speed, inertia * acceleration) / stiffness
+    pull = np.hypot(damping * speed, inertia * acceleration)
+    # a joint that no spring holds has no set-point
+    beside = np.divide(pull, stiffness, out=np.zeros_like(pull), where=stiffness > 0)
     return np.array([beside, np.hypot(speed, first)])
 
 

@@ -15,9 +15,8 @@ import pyarrow.parquet as pq
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.answer import Diagnosis, answer
 from real2sim.diagnosis.evidence import CONFIGURED
-from real2sim.diagnosis.machines import search_with
+from real2sim.diagnosis.machines import beside_configured, search_with
 from real2sim.diagnosis.trials import Trials
-from real2sim.errors import InputError
 from real2sim.provenance import Provenance, fingerprint, provenance
 from real2sim.recording.noise import NoiseModel
 from real2sim.recording.quality.verdict import refused_gates
@@ -178,14 +177,11 @@ def _by_robot(
     robot: Path, robots: Mapping[str, Any], settings: Settings
 ) -> tuple[dict[str, Path], dict[str, Settings]]:
     """Return the MJCF of each robot by name, and the settings of a diagnosis with it; the configured one first."""
-    models, of_robot = {CONFIGURED: robot}, {CONFIGURED: settings}
-    for name, other in robots.items():
-        if name == CONFIGURED:
-            expected = "a name of yours: that one is of paths.robot"
-            raise InputError("diagnosis.robots", name, "a name that is taken", expected, "Rename it.")
-        models[name] = Path(other["model"])
-        of_robot[name] = settings | {"robot": other["robot"]}
-    return models, of_robot
+    models = beside_configured(
+        robot, {n: Path(other["model"]) for n, other in robots.items()}, "diagnosis.robots"
+    )
+    changed: dict[str, Settings] = {n: settings | {"robot": other["robot"]} for n, other in robots.items()}
+    return models, {CONFIGURED: settings, **changed}
 
 
 def _sources(trials: Sequence[Path], limits: Path | None, robots: Sequence[Path]) -> Provenance:

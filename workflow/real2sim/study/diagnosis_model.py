@@ -72,22 +72,26 @@ def effects_of(model: dict[str, Any], system: System, source: Path) -> tuple[lis
     return placed, x
 
 
+def diagnosed_robot(answer: Mapping[str, Any], configured: Path) -> Path:
+    """Return the MJCF of the robot that an answer rests on: the configured one, unless another one was found."""
+    machine = answer.get("machine")
+    return configured if machine is None or machine["model"] is None else Path(machine["model"])
+
+
 def diagnosed_evidence(
     answer: Mapping[str, Any], trial: Path, neutral: Path, limits: Path | None, robot: Path
 ) -> StrapEvidence:
     """Return a trial as the diagnosis saw it when it gave its answer (contents of diagnosis.json), not whitened.
 
     ``trial`` and ``neutral`` are folders of canonical tables, ``limits`` the person's joint limits, ``robot`` the MJCF
-    of the configured robot twin, which an answer may have found that another one stood in for.
+    of the configured robot twin (`diagnosed_robot`).
     """
-    settings, machine = answer["settings"], answer.get("machine")
-    if machine is not None and machine["model"] is not None:
-        robot = Path(machine["model"])
+    settings = answer["settings"]
     evidence = load_evidence(
         folder=trial,
         neutral=neutral,
         limits=limits,
-        robot=robot,
+        robot=diagnosed_robot(answer, robot),
         settings=settings,
         noise=NoiseModel.measure(neutral, settings["ingest"], settings["diagnosis"]["noise"]),
         settled=answer["robot_holds"] == BALANCE,
@@ -176,7 +180,8 @@ def export_model(
     model.run_effects(parameters[None], [part[None] for part in x])
     simulated = model.as_simulated()
     about = [_about(placed, part) for placed, part in zip(effects, x, strict=True)]
-    sources = provenance([diagnosis, robot, *([limits] if limits else [])], _PACKAGES, fingerprint(__name__))
+    used = diagnosed_robot(answer, robot)
+    sources = provenance([diagnosis, used, *([limits] if limits else [])], _PACKAGES, fingerprint(__name__))
     header, texts = _header(answer, about, train.name, replay.name), _texts(answer, about, sources)
     numbers = {name: float(value) for name, value in zip(PARAMETERS, parameters, strict=True)}
     text = to_mjcf(baked(model, simulated), simulated, header, texts, numbers)

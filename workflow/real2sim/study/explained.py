@@ -18,7 +18,7 @@ from real2sim.inference.parameters import Bounds
 from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.quality.verdict import require
 from real2sim.recording.trial import TrialModel
-from real2sim.study.diagnosis_model import diagnosed_evidence, effects_of
+from real2sim.study.diagnosis_model import diagnosed_evidence, diagnosed_robot, effects_of
 from real2sim.study.fit import BATCH, Progress, outcome, restart_seed, search
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def fit_with_effects(
     label = f"{subject} {trial.name} with {', '.join(causes.names) or 'no cause'}"
     seeds = [restart_seed(ident["seed"], subject, trial.name, restart) for restart in restarts]
     results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
-    source = provenance([diagnosis, limits, robot], _PACKAGES, fingerprint(__name__))
+    used = diagnosed_robot(causes.answer, robot)
+    source = provenance([diagnosis, limits, used], _PACKAGES, fingerprint(__name__))
     about = {"schema": 1, "subject": subject, "trial": trial.name, "restart": None, "method": ident["method"]}
     about |= {
         "phantom": model.trial.phantom,

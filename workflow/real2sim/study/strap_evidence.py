@@ -175,9 +175,9 @@ class StrapEvidence:
         return self._whitening.noise
 
     @property
-    def log_volume(self) -> float:
+    def log_determinant(self) -> float:
         """Logarithm of the determinant of the residuals' covariance by noise."""
-        return self._whitening.log_volume
+        return self._whitening.log_determinant
 
     @property
     def _whitening(self) -> Whitening:

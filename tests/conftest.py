@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
 import yaml
+from real2sim.provenance import LIBRARY, CodeMemory
 
 ROOT = Path(__file__).parents[1]
 # two workers with two threads of BLAS each cost a hundred times what they save; before any test imports numpy
@@ -27,10 +32,12 @@ class Study:
     folder: Path
 
     def snakemake(
-        self, *arguments: str, check: bool = True, timeout: float = 900
+        self, *arguments: str, check: bool = True, timeout: float = 2400
     ) -> subprocess.CompletedProcess:
         """Run snakemake there; the output of both streams is in ``stdout``."""
-        environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHONPATH", "SNAKEMAKE"))}
+        # with its byte code kept, each of the many jobs does not compile the library again
+        dropped = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "SNAKEMAKE")
+        environment = {k: v for k, v in os.environ.items() if not k.startswith(dropped)}
         done = subprocess.run(
             [sys.executable, "-m", "snakemake", *arguments],
             cwd=self.folder,
@@ -88,7 +95,20 @@ def clean_study(folder: Path) -> Study:
             shutil.copytree(source, folder / name, ignore=_IGNORE)
         else:
             shutil.copy2(source, folder / name)
+    (folder / ".snakemake" / "real2sim").mkdir(parents=True)
+    (folder / ".snakemake" / "real2sim" / "code.json").write_text(_code_memory())
     return Study(folder)
+
+
+@cache
+def _code_memory() -> str:
+    """What a first start of Snakemake remembers of the code: seconds for each of the many copies of the project."""
+    code = CodeMemory()
+    for path in sorted(LIBRARY.rglob("*.py")):
+        code.of(path)
+    with tempfile.TemporaryDirectory() as folder:
+        code.save(Path(folder) / "code.json")
+        return (Path(folder) / "code.json").read_text()
 
 
 @pytest.fixture
@@ -104,9 +124,10 @@ def miniature(folder: Path) -> Study:
     phantom = yaml.safe_load(path.read_text(encoding="utf-8"))
     people = {name: phantom["cohort"][name] for name in ("S01", "S02", "S03", "S06")}
     for person in people.values():
-        person["tightness"] = {"loosest_cm": 8, "tightest_cm": 13, "safe_comfortable_cm": 10}
+        person["tightness"] = {"loosest_cm": 8, "tightest_cm": 12, "safe_comfortable_cm": 10}
     phantom["cohort"] = people
-    phantom["trials"] |= {"dynamic_s": 8.0, "walk_s": 3.0, "walk_robot_trials": 1, "neutral_s": 5.0}
+    phantom["trials"] |= {"sweep_s": 6.0, "dynamic_s": 8.0, "walk_s": 3.0, "walk_robot_trials": 1}
+    phantom["trials"] |= {"neutral_s": 5.0}
     path.write_text(yaml.safe_dump(phantom, sort_keys=False), encoding="utf-8")
     study.configure(
         identification={"restarts": 2, "evaluations": 44},
@@ -122,26 +143,46 @@ def miniature(folder: Path) -> Study:
     return study
 
 
+def _once(tmp_path_factory, name: str, make: Callable[[Path], None]) -> Path:
+    """Folder that the first worker to ask fills and the others wait for."""
+    base = tmp_path_factory.getbasetemp()
+    # each worker of pytest-xdist has a folder of its own, and all of them are in one
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (base / f"{name}.done").exists():
+            shutil.rmtree(base / name, ignore_errors=True)
+            make(base / name)
+            (base / f"{name}.done").touch()
+    return base / name
+
+
+def _write_raw(folder: Path) -> None:
+    study = miniature(folder)
+    people = yaml.safe_load((folder / "config" / "phantom.yaml").read_text())["cohort"]
+    study.snakemake("--cores", "2", *[f"results/phantom/sealed/{name}.json" for name in people])
+    # with one dynamic trial the person kept for validation is refined, but not diagnosed: that has tests of its own
+    with (folder / "results" / "phantom" / "raw" / "S06" / "subject.yaml").open("a") as stream:
+        stream.write("exclude: {dynamic_2: left out to be quick}\n")
+
+
 @pytest.fixture(scope="session")
 def _mini_raw(tmp_path_factory) -> Path:
     """Raw exports of the miniature's phantom people."""
-    study = miniature(tmp_path_factory.mktemp("raw") / "study")
-    people = yaml.safe_load((study.folder / "config" / "phantom.yaml").read_text())["cohort"]
-    study.snakemake("--cores", "2", *[f"results/phantom/sealed/{name}.json" for name in people])
-    # with one dynamic trial the person kept for validation is refined, but not diagnosed: that has tests of its own
-    with (study.folder / "results" / "phantom" / "raw" / "S06" / "subject.yaml").open("a") as stream:
-        stream.write("exclude: {dynamic_2: left out to be quick}\n")
-    return study.folder / "results" / "phantom" / "raw"
+    return _once(tmp_path_factory, "raw", _write_raw) / "results" / "phantom" / "raw"
 
 
 @pytest.fixture(scope="session")
 def mini_done(_mini_raw, tmp_path_factory) -> Study:
     """The miniature as a study of people in resources/subjects, run to its end with two cores."""
-    study = miniature(tmp_path_factory.mktemp("done") / "study")
-    for name in ("S01", "S02", "S06"):
-        shutil.copytree(_mini_raw / name, study.folder / "resources" / "subjects" / name)
-    study.snakemake("--cores", "2")
-    return study
+
+    def run(folder: Path) -> None:
+        study = miniature(folder)
+        for name in ("S01", "S02", "S06"):
+            shutil.copytree(_mini_raw / name, folder / "resources" / "subjects" / name)
+        study.snakemake("--cores", "2")
+
+    return Study(_once(tmp_path_factory, "done", run))
 
 
 @pytest.fixture

@@ -5,7 +5,14 @@ from __future__ import annotations
 import json
 
 import mujoco
+import pytest
 from real2sim.artefacts import number, read_table
+
+
+@pytest.fixture(scope="module")
+def mini(mini_done, tmp_path_factory):
+    """One study for all tests of this file: what one of them diagnosed is not diagnosed again by the next."""
+    return mini_done.copy(tmp_path_factory.mktemp("diagnosed") / "mini")
 
 
 def test_diagnosis_answers_without_truth_and_twice_the_same(mini):

@@ -37,6 +37,7 @@ from real2sim.effects.families import (
 )
 from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import Tangent
+from real2sim.memory import give_back
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisFreeFormSettings, DiagnosisSearchSettings
@@ -278,6 +279,7 @@ def _slopes_of(
         for i, part in enumerate(parts):
             columns[:, _CHUNK * i : _CHUNK * i + len(part)] = by(library.columns_effect(part))
     moved = {d.name: by(library.placed(d, 1.0)) for d in library.displacements}
+    give_back()
     return TrialSlopes(r[:n], jac[:n], columns, moved), (r[n:], jac[n:])
 
 

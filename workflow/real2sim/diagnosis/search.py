@@ -19,6 +19,7 @@ from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent, bounded_step
+from real2sim.memory import give_back
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -145,6 +146,7 @@ class Search:
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
         (train, j_train), (other, j_other) = judged.tolist()
+        give_back()
         return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count, final, occam)
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:

@@ -11,6 +11,7 @@ from real2sim.configuration import validated
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.free_form import Library, _Trial, measure, screen, slopes
 from real2sim.diagnosis.law import describe
+from real2sim.diagnosis.law_equations import Products
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Search
 from real2sim.diagnosis.trials import Trials
@@ -26,6 +27,7 @@ from real2sim.effects.families import (
     stopped,
     with_rhythm,
 )
+from real2sim.effects.system_replay import SystemReplay
 from real2sim.recording.table import Recording
 from real2sim.system.description import shipped_system
 from real2sim.verification.systems import one_axis
@@ -152,12 +154,59 @@ def test_a_coefficient_may_drive_one_of_several_joints(stiff):
     assert library.signals([], context).sum(axis=0).shape == context.time_s.shape
 
 
+def _of_residuals(trial, library, residuals):
+    """The slopes of a trial with other residuals."""
+    products = {name: Products.of(trial.by(f), trial.base, residuals) for name, f in _named(library)}
+    return replace(trial, residuals=residuals, of_family=products)
+
+
+def _named(library):
+    return [(f"{f.key} {f.name}", f) for f in library.forces]
+
+
+def test_products_are_those_of_each_familys_own_slopes(stiff):
+    pair, _, plain = stiff
+    library = Library(pair, FREE["band_share"])
+    assert len(dict(_named(library))) == len(library.forces)
+    for trial in slopes(pair, library, Hypothesis((), plain.base, plain.chi2)).trials:
+        again = _of_residuals(trial, library, trial.residuals)
+        for name, products in trial.of_family.items():
+            for field in ("across", "own", "slope"):
+                expected = getattr(again.of_family[name], field)
+                scale = np.abs(expected).max() + 1e-12
+                np.testing.assert_allclose(getattr(products, field) / scale, expected / scale, atol=1e-9)
+
+
+def test_slopes_are_made_again_by_replays_where_the_linearised_simulation_grows(stiff, monkeypatch):
+    pair, _, plain = stiff
+    library = Library(pair, FREE["band_share"])
+    base = Hypothesis((), plain.base, plain.chi2)
+    smooth = slopes(pair, library, base).fitted
+    assert smooth.responses.is_linear
+    # only what the last group makes is seen to grow
+    asked = []
+    response = SystemReplay.response
+
+    def growing(self, *arguments):
+        asked.append(None)
+        moved, turned = response(self, *arguments)
+        return (moved * np.inf if len(asked) == 2 else moved), turned
+
+    monkeypatch.setattr(SystemReplay, "response", growing)
+    replayed = slopes(pair, library, base).fitted
+    assert not replayed.responses.is_linear
+    assert replayed.of_family.keys() == smooth.of_family.keys()
+    for name, products in replayed.of_family.items():
+        expected = smooth.of_family[name].slope
+        np.testing.assert_allclose(products.slope, expected, atol=2e-2 * np.abs(expected).max() + 1e-6)
+
+
 def test_the_scale_of_the_prior_is_small_where_there_is_nothing_to_explain(stiff):
     pair, _, plain = stiff
     library = Library(pair, FREE["band_share"])
     known = slopes(pair, library, Hypothesis((), plain.base, plain.chi2))
     rng = np.random.default_rng(1)
-    silent = [replace(t, residuals=rng.standard_normal(len(t.residuals))) for t in known.trials]
+    silent = [_of_residuals(t, library, rng.standard_normal(len(t.residuals))) for t in known.trials]
     quiet = replace(known, fitted=silent[0], held_out=silent[1])
     found = screen(quiet, library, plain, SEARCH["longest_step"])
     assert max(s.gain for s in found) < np.log(len(found)) + 3

@@ -51,7 +51,7 @@ _RHYTHMS = 4
 _SLOWEST_HZ = 0.2
 _PER_TURN = 4
 # Basis functions that one replay has at a time
-_CHUNK = 64
+_CHUNK = 96
 
 AnyFamily = Family | Displacement
 
@@ -82,10 +82,8 @@ class Library:
     def _take(self, forces: Sequence[Family], moved: Sequence[Displacement]) -> None:
         """Hold these families, and their basis functions, each once per joint."""
         self.forces, self.displacements = list(forces), list(moved)
-        terms = {(t.joint, t.name): t for f in forces for row in f.terms for t in row}
-        self.columns = list(terms.values())
-        self._joints = list(dict.fromkeys(t.joint for t in self.columns))
-        self.index = {key: i for i, key in enumerate(terms)}
+        self.terms = _terms_of(forces)
+        self._joints = list(dict.fromkeys(t.joint for t in self.terms.values()))
 
     def variables(self, context: Context) -> dict[str, Variable]:
         """Return the variables of a trial."""
@@ -114,7 +112,7 @@ class Library:
     @property
     def motors(self) -> Placed:
         """Motors of all joints that families act on, as an effect that does nothing."""
-        first = {t.joint: t for t in reversed(self.columns)}
+        first = {t.joint: t for t in reversed(self.terms.values())}
         return self.columns_effect([first[joint] for joint in self._joints])
 
     def forces_of_columns(self, terms: Sequence[Term], context: Context) -> np.ndarray:
@@ -192,10 +190,10 @@ class Library:
         return scale * term.factor, unit
 
     def holds(self, family: AnyFamily) -> bool:
-        """Return whether slopes by the coefficients of a family are among those of the library's columns."""
+        """Return whether slopes by the coefficients of a family can be had at a base without a replay."""
         if isinstance(family, Displacement):
             return family in self.displacements
-        return all((t.joint, t.name) in self.index for row in family.terms for t in row)
+        return all((t.joint, t.name) in self.terms for row in family.terms for t in row)
 
     def only(self, forces: Sequence[Family]) -> Library:
         """Return the same library with some of its families of forces and no displacements."""
@@ -211,29 +209,110 @@ class Library:
         return Placed(effect, Where(self.system, (), 0, "", "columns"), self._scales)
 
 
-@dataclass(frozen=True)
-class TrialSlopes:
-    """Residuals (r,) of a trial at a base, and their slopes by its numbers (r, n) and by basis functions (r, c).
+class Responses:
+    """Slopes of the residuals (r,) of a trial at a base, by basis functions and displacements.
 
-    ``displaced``: (r, p) by the coefficients of each displacement. Those by basis functions are thousands, of which a
-    family has a few: they are held in single precision.
+    A simulation that is linear along its motion gives the slopes by many basis functions at once; where it is not
+    smooth, or grows without bound, they are taken by replays.
     """
 
+    def __init__(self, evidence: Evidence, library: Library, base: Hypothesis):
+        self._evidence, self._library, self._base = evidence, library, base
+        problem = JointResiduals(evidence, base.effects, library.system, coarse=True)
+        self._residuals, self._own = problem.with_jacobian(base.z, np.arange(len(base.z)))
+        self._replay = evidence.replay([*base.effects, library.motors], 1, coarse=True)
+        still = np.zeros((1, len(library.motors.effect.parameters)))
+        x = [*(part[None] for part in base.split()), still]
+        paths, joints = self._replay.run_effects(library.system.values(base.base)[None], x)
+        self._linear = self._replay.linearised()
+        self._at = paths, joints, evidence.whitened(paths, joints)
+
+    @property
+    def base(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (r,) of the trial, and their slopes (r, n) by the base's numbers."""
+        n = self._evidence.samples
+        return self._residuals[:n], self._own[:n]
+
+    @property
+    def priors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (k,) of the base's priors, and their slopes (k, n)."""
+        n = self._evidence.samples
+        return self._residuals[n:], self._own[n:]
+
+    def by_placed(self, placed: Placed) -> np.ndarray:
+        """Return slopes (r, p) by the parameters of an effect that does nothing at zero, by replays."""
+        evidence, base = self._evidence, self._base
+        joint = JointResiduals(evidence, (*base.effects, placed), self._library.system, coarse=True)
+        own = len(placed.effect.parameters)
+        at = np.concatenate([base.z, np.zeros(own)])
+        there = np.concatenate([self._residuals, np.zeros(own)])
+        return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[: evidence.samples]
+
+    @property
+    def is_linear(self) -> bool:
+        """True while slopes by basis functions are those of the linearised simulation."""
+        return self._linear is not None
+
+    def by(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return slopes (r, p) by basis functions."""
+        parts = [terms[i : i + _CHUNK] for i in range(0, len(terms), _CHUNK)]
+        return np.hstack([self._some(part) for part in parts])
+
+    def _some(self, terms: Sequence[Term]) -> np.ndarray:
+        if self._linear is not None:
+            forces = self._library.forces_of_columns(terms, self._evidence.context)
+            moved, turned = self._replay.response(self._linear, len(self._base.effects), forces)
+            paths, joints, here = self._at
+            found = self._evidence.whitened(paths + moved, joints + turned) - here
+            if np.abs(found).max(initial=0.0) < ENDLESS:
+                return np.asarray(found.T)
+            # linearised steps that grow without bound (at a stiff law, say) do so for whatever drives them
+            self._linear = None
+        return self.by_placed(self._library.columns_effect(terms))
+
+
+@dataclass(frozen=True)
+class TrialSlopes:
+    """Residuals (r,) of a trial at a base, and their slopes: by its numbers (r, n), and what families make of theirs.
+
+    ``of_family`` are products with the slopes of a family by its name, ``displaced`` the slopes (r, p) of each
+    displacement. The slopes by basis functions themselves are thousands, and made again for the few that are refitted.
+    """
+
+    responses: Responses
     residuals: np.ndarray
     base: np.ndarray
-    columns: np.ndarray
+    of_family: dict[str, Products]
     displaced: dict[str, np.ndarray]
 
-    def by(self, family: AnyFamily, library: Library) -> np.ndarray:
+    def by(self, family: AnyFamily) -> np.ndarray:
         """Return the slopes (r, p) by the coefficients of a family."""
         if isinstance(family, Displacement):
             return self.displaced[family.name]
-        rows = [[library.index[t.joint, t.name] for t in row] for row in family.terms]
-        return np.stack([self.columns[:, row].sum(axis=1, dtype=float) for row in rows], axis=1)
+        own = _terms_of([family])
+        return _summed(family, own, self.responses.by(list(own.values())))
 
-    def products(self, columns: np.ndarray) -> Products:
-        """Return the products of some columns (r, p)."""
-        return Products.of(columns.astype(float), self.base, self.residuals)
+    def products(self, family: AnyFamily) -> Products:
+        """Return the products of the slopes by a family of the library."""
+        if isinstance(family, Displacement):
+            return Products.of(self.displaced[family.name], self.base, self.residuals)
+        return self.of_family[_name_of(family)]
+
+
+def _name_of(family: Family) -> str:
+    return f"{family.key} {family.name}"
+
+
+def _terms_of(forces: Sequence[Family]) -> dict[tuple[str, str], Term]:
+    """Basis functions of families, each once per joint."""
+    return {(t.joint, t.name): t for f in forces for row in f.terms for t in row}
+
+
+def _summed(family: Family, terms: dict[tuple[str, str], Term], columns: np.ndarray) -> np.ndarray:
+    """Slopes (r, p) by the coefficients of a family, from those (r, c) by basis functions."""
+    index = {key: i for i, key in enumerate(terms)}
+    rows = [[index[t.joint, t.name] for t in row] for row in family.terms]
+    return np.stack([columns[:, row].sum(axis=1) for row in rows], axis=1)
 
 
 @dataclass(frozen=True)
@@ -253,61 +332,43 @@ class Slopes:
 
 def slopes(pair: Pair, library: Library, base: Hypothesis) -> Slopes:
     """Return the slopes of both trials at a hypothesis by basis functions and displacements."""
-    (fitted, rows), (held_out, _) = (_slopes_of(e, library, base) for e in (pair.train, pair.held_out))
-    return Slopes(fitted, held_out, *rows)
+    fitted, held_out = (_slopes_of(evidence, library, base) for evidence in (pair.train, pair.held_out))
+    return Slopes(fitted, held_out, *fitted.responses.priors)
 
 
-def _slopes_of(
-    evidence: Evidence, library: Library, base: Hypothesis
-) -> tuple[TrialSlopes, tuple[np.ndarray, np.ndarray]]:
-    """Slopes of a trial, and residuals (k,) and slopes (k, n) of the base's priors."""
-    problem = JointResiduals(evidence, base.effects, library.system, coarse=True)
-    r, jac = problem.with_jacobian(base.z, np.arange(len(base.z)))
-    n = evidence.samples
-
-    def by(placed: Placed) -> np.ndarray:
-        joint = JointResiduals(evidence, (*base.effects, placed), library.system, coarse=True)
-        own = len(placed.effect.parameters)
-        at = np.concatenate([base.z, np.zeros(own)])
-        there = np.concatenate([r, np.zeros(own)])
-        return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[:n]
-
-    terms = library.columns
-    parts = [terms[i : i + _CHUNK] for i in range(0, len(terms), _CHUNK)]
-    columns = np.empty((n, len(terms)), np.float32, order="F")
-    if not _on_tangent(evidence, library, base, parts, columns):
-        for i, part in enumerate(parts):
-            columns[:, _CHUNK * i : _CHUNK * i + len(part)] = by(library.columns_effect(part))
-    moved = {d.name: by(library.placed(d, 1.0)) for d in library.displacements}
+def _slopes_of(evidence: Evidence, library: Library, base: Hypothesis) -> TrialSlopes:
+    """Slopes of a trial. Families of the same joints share basis functions: theirs are held at a time."""
+    responses = Responses(evidence, library, base)
+    residuals, own = responses.base
+    while True:
+        linear, of_family = responses.is_linear, {}
+        for forces in _by_joints(library.forces):
+            terms = _terms_of(forces)
+            columns = responses.by(list(terms.values()))
+            for family in forces:
+                products = Products.of(_summed(family, terms, columns), own, residuals)
+                of_family[_name_of(family)] = products
+        # all are of one kind: what was linear before a family showed that it is not is made again
+        if responses.is_linear == linear:
+            break
+    moved = {d.name: responses.by_placed(library.placed(d, 1.0)) for d in library.displacements}
     give_back()
-    return TrialSlopes(r[:n], jac[:n], columns, moved), (r[n:], jac[n:])
+    return TrialSlopes(responses, residuals, own, of_family, moved)
 
 
-def _on_tangent(
-    evidence: Evidence,
-    library: Library,
-    base: Hypothesis,
-    parts: Sequence[Sequence[Term]],
-    columns: np.ndarray,
-) -> bool:
-    """Write slopes (r, c) by basis functions from the linearised simulation; whether that gives them."""
-    motors = library.motors
-    replay = evidence.replay([*base.effects, motors], 1, coarse=True)
-    x = [*(part[None] for part in base.split()), np.zeros((1, len(motors.effect.parameters)))]
-    paths, joints = replay.run_effects(library.system.values(base.base)[None], x)
-    linear = replay.linearised()
-    if linear is None:
-        return False
-    here = evidence.whitened(paths, joints)
-    for i, part in enumerate(parts):
-        forces = library.forces_of_columns(part, evidence.context)
-        moved, turned = replay.response(linear, len(base.effects), forces)
-        found = evidence.whitened(paths + moved, joints + turned) - here
-        # a simulation whose linearised steps grow without bound (at a stiff law, say) is asked by replays
-        if not np.abs(found).max(initial=0.0) < ENDLESS:
-            return False
-        columns[:, _CHUNK * i : _CHUNK * i + len(part)] = found.T
-    return True
+def _by_joints(forces: Sequence[Family]) -> list[list[Family]]:
+    """Families in groups that act on the same joints; small groups are together as large as the largest."""
+    groups: dict[frozenset[str], list[Family]] = {}
+    for family in forces:
+        groups.setdefault(frozenset(t.joint for row in family.terms for t in row), []).append(family)
+    most = max((len(_terms_of(group)) for group in groups.values()), default=0)
+    out: list[list[Family]] = []
+    for group in groups.values():
+        if out and len(_terms_of([*out[-1], *group])) <= most:
+            out[-1] += group
+        else:
+            out.append(group)
+    return out
 
 
 @dataclass(frozen=True)
@@ -337,7 +398,7 @@ def screen(known: Slopes, library: Library, base: Hypothesis, longest: float) ->
         return Screened(family, scale, gain, coefficients, step)
 
     everything: list[AnyFamily] = [*library.forces, *library.displacements]
-    out = [screened(family, *tangent.of_family(family, library)) for family in everything]
+    out = [screened(family, *tangent.of_family(family)) for family in everything]
     free = [s for s in out if isinstance(s.family, Family) and s.family.each_trial]
     for parent in sorted(free, key=lambda s: -s.gain)[:_RHYTHMS]:
         out += [screened(*found) for found in _rhythms(parent.family, tangent, library)]
@@ -353,7 +414,7 @@ def smoothed(found: Screened, known: Slopes, library: Library, base: Hypothesis,
     if isinstance(found.family, Family) and found.family.each_trial:
         return found
     tangent = _Tangent(known, *_room(library, base, longest))
-    products, weights = tangent.of_family(found.family, library)
+    products, weights = tangent.of_family(found.family)
     best, least = found, np.inf
     for scale in SCALES[found.scale * (1 + 1e-9) >= SCALES][::-1]:
         step, coefficients = tangent.fitted.solve(products.fitted, scale * weights)
@@ -390,10 +451,10 @@ class _Tangent:
         residuals = np.concatenate([residuals, known.held_out.residuals])
         self.both = Equations(np.vstack([base, known.held_out.base]), residuals, lower, upper)
 
-    def of_family(self, family: AnyFamily, library: Library) -> tuple[_OfTrials, np.ndarray]:
+    def of_family(self, family: AnyFamily) -> tuple[_OfTrials, np.ndarray]:
         """Return products of a family, and the weights (p,) of its coefficients' prior."""
         weights = _weights_of(family)
-        parts = [trial.products(trial.by(family, library)) for trial in self.trials]
+        parts = [trial.products(family) for trial in self.trials]
         each = isinstance(family, Family) and family.each_trial
         return _OfTrials.made_of(parts, each_trial=each), np.tile(weights, 2) if each else weights
 
@@ -410,12 +471,11 @@ def _rhythms(
 ) -> Iterator[tuple[Family, _OfTrials, np.ndarray]]:
     """Rhythms in place of a free history, their products and weights; a sine of time is a sum of its cosines."""
     assert isinstance(parent, Family)
-    index = [library.index[row[0].joint, row[0].name] for row in parent.terms]
     joint = parent.terms[0][0].joint
     first = len(parent.depends_on) - 1
-    cosines = [Term(f"cos({k} pi time)", joint, cosine(k)) for k in range(first, first + len(index))]
+    cosines = [Term(f"cos({k} pi time)", joint, cosine(k)) for k in range(first, first + len(parent.terms))]
     of_trial = [np.linalg.pinv(library.signals(cosines, context).T) for context in library.contexts]
-    alone = [trial.products(trial.columns[:, index]) for trial in tangent.trials]
+    alone = [trial.products(parent) for trial in tangent.trials]
     longest = max(float(library.variables(c)["time"].scale) for c in library.contexts)
     for hz in np.arange(_SLOWEST_HZ, FASTEST_HZ - _SLOWEST_HZ, 1 / (_PER_TURN * longest)):
         family = with_rhythm(parent, float(hz))
@@ -548,7 +608,7 @@ class _Trial:
         """Tangent of the fitted trial at a hypothesis with a family that does nothing yet."""
         own, data, priors = placed.of_trial(held_out=False), known.fitted, known.prior_residuals
         columns = np.zeros((len(data.residuals), len(own)))
-        columns[:, own] = data.by(family, self.library)
+        columns[:, own] = data.by(family)
         count = len(own)
         jacobian = np.block(
             [
@@ -697,7 +757,7 @@ def measure(
     alone = _Tangent(known, *_room(library, base, longest)).both.alone
     within = [s for s in screened if alone - 2 * s.gain <= reach]
     chosen = [smoothed(s, known, library, base, longest) for s in _diverse(within, options["refits"])]
-    # some hundred MB that nothing below asks for
+    # linearised simulations, that nothing below asks for
     del known
     laws = [trial.refitted((), s, base) for s in chosen]
     laws = sorted(laws, key=lambda law: -law.gain)

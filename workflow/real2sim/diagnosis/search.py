@@ -12,8 +12,8 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from scipy.linalg import block_diag
-from scipy.stats import qmc
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
@@ -252,7 +252,7 @@ class Search:
             if parameter.log and parameter.name in near:
                 about = near[parameter.name] + np.array([-1, 1]) * self._settings["redraw_range_ln"]
                 lower[i], upper[i] = np.clip(about, lower[i], upper[i])
-        points = qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
+        points = scipy.stats.qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
         z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
         costs = self._residuals(effects).costs(z)
         self.evaluations += len(z)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, firwin, sosfiltfilt, upfirdn
 
 # What the cubic across a gap is fitted to on either side: two samples determine it, four halve the effect of noise, and
 # at high rates four samples are so short a time that their noise swings the cubic far out between them [s].
@@ -97,12 +97,12 @@ def lowpass(values: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) ->
         return values.copy()
     correction = (np.sqrt(2) - 1) ** (-1 / order)
     warped = np.tan(np.pi * cutoff_hz / rate_hz) * correction
-    sos = butter(order // 2, np.arctan(warped) / np.pi * 2, output="sos")
+    sos = scipy.signal.butter(order // 2, np.arctan(warped) / np.pi * 2, output="sos")
     out = np.full(values.shape, np.nan)
     for run in segments(known(values)):
         length = run.stop - run.start
         pad = min(length - 1, int(3 * rate_hz / cutoff_hz))
-        out[run] = sosfiltfilt(sos, values[run], axis=0, padlen=pad)
+        out[run] = scipy.signal.sosfiltfilt(sos, values[run], axis=0, padlen=pad)
     return out
 
 
@@ -159,9 +159,9 @@ def upsampled(values: np.ndarray, parts: int) -> np.ndarray:
     padded = np.concatenate(
         [2 * values[0] - values[around:0:-1], values, 2 * values[-1] - values[-2 : -around - 2 : -1]]
     )
-    window = firwin(2 * _INTERPOLATION * parts + 1, 1 / parts, window=("kaiser", 10.0)) * parts
+    window = scipy.signal.firwin(2 * _INTERPOLATION * parts + 1, 1 / parts, window=("kaiser", 10.0)) * parts
     # zeros of the low-pass lie on the samples, but for its finite length: they are kept as they are
-    out = upfirdn(window, padded, up=parts, axis=0)
+    out = scipy.signal.upfirdn(window, padded, up=parts, axis=0)
     first = (around + _INTERPOLATION) * parts
     out = out[first : first + (len(values) - 1) * parts + 1]
     out[::parts] = values

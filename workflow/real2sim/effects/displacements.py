@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
@@ -159,7 +159,7 @@ def _trails(context: Context) -> np.ndarray:
     out = [angles]
     for time_s in _TIMES_S:
         keep = float(np.exp(-step_s / time_s))
-        followed = lfilter([1 - keep], [1, -keep], angles, axis=0, zi=keep * angles[:1])[0]
+        followed = scipy.signal.lfilter([1 - keep], [1, -keep], angles, axis=0, zi=keep * angles[:1])[0]
         out.append(angles - followed)
     return np.hstack(out)
 

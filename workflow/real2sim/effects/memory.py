@@ -7,8 +7,8 @@ from math import atanh, tanh
 
 import mujoco
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from real2sim.effects.base import (
     AtRest,
@@ -230,7 +230,7 @@ def maxwell(values: np.ndarray, q: np.ndarray, step_s: float) -> np.ndarray:
     out = np.zeros((len(values), len(q)))
     for row, (spring, time) in zip(out, values, strict=True):
         kept = float(np.exp(-step_s / time))
-        row[1:] = spring * lfilter([kept], [1, -kept], ways)
+        row[1:] = spring * scipy.signal.lfilter([kept], [1, -kept], ways)
     return out
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, hertz, seconds
@@ -56,8 +56,8 @@ def drifting_clock(paths: np.ndarray, values: np.ndarray, context: Context) -> n
 
 def _butterworth(paths: np.ndarray, order: int, cutoff_hz: float, rate_hz: float) -> np.ndarray:
     """Return paths (n, ...) after a causal low-pass in equilibrium at the first sample."""
-    sos = butter(order, cutoff_hz, fs=rate_hz, output="sos")
-    return np.asarray(paths[:1] + sosfilt(sos, paths - paths[:1], axis=0))
+    sos = scipy.signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    return np.asarray(paths[:1] + scipy.signal.sosfilt(sos, paths - paths[:1], axis=0))
 
 
 def _trailing_mean(paths: np.ndarray, window_s: float, rate_hz: float) -> np.ndarray:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, NotRequired, TypedDict
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from real2sim.inference.least_squares import Residuals, minimise
 from real2sim.inference.parameters import PARAMETERS, Bounds
@@ -43,7 +43,7 @@ _TRIAL = {
 
 
 # Within which of its standard deviations 95 % of a normal distribution lie
-NORMAL_95 = float(stats.norm.ppf(0.975))
+NORMAL_95 = float(ndtri(0.975))
 # Of the information in a direction at least this share is left, however much of it the noise of the input explains: the
 # noise is known to a few per cent only
 LEAST_SHARE = 0.05

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from real2sim.geometry import AXES, rotation_xyz
 from real2sim.signals import lowpass
@@ -175,7 +175,7 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
     mean = sigma.mean(axis=0)
     pooled = np.concatenate(centred)[:, :2]
     values, vectors = np.linalg.eigh(np.cov(pooled.T))
-    axes = 1e3 * np.sqrt(values[::-1] * chi2.ppf(0.95, 2))
+    axes = 1e3 * np.sqrt(values[::-1] * scipy.stats.chi2.ppf(0.95, 2))
     return {
         "trials": len(sigmas),
         "sigma_mm": mean.tolist(),

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
+import scipy
 from scipy.optimize import least_squares
-from scipy.signal import find_peaks
 
 from real2sim.errors import InputError
 from real2sim.study.twin.human import FEET, JOINTS, Body, human_spec, pelvis_rotation
@@ -58,7 +58,7 @@ def heel_strikes(time_s: np.ndarray, heel_ahead: np.ndarray, stride_hint_s: floa
     if not len(finite):
         return np.empty(0)
     span = float(np.ptp(finite))
-    peaks, _ = find_peaks(
+    peaks, _ = scipy.signal.find_peaks(
         filled, distance=max(1, int(0.6 * stride_hint_s * rate)), height=float(finite.min()) + 0.7 * span
     )
     out = []

@@ -101,12 +101,35 @@ def test_a_machine_that_needs_an_effect_is_searched_where_one_comes_near_or_more
 
     monkeypatch.setattr(machines, "_prepare", prepare)
     monkeypatch.setattr(machines, "_searched", search)
-    monkeypatch.setattr(machines, "_explains_alone", lambda machine, options: machine.name == "right")
+    monkeypatch.setattr(machines, "_explains_simply", lambda machine, options: machine.name == "right")
     tried = _machine("wrong", 1000.0 if near else 3000.0, 1500)
     monkeypatch.setattr(machines, "_with_one_effect", lambda name, own: tried)
-    two = SimpleNamespace(further=further, options=None)
+    two = SimpleNamespace(further=further, options=CONFIG["diagnosis"])
     found = machines.search_machines({"wrong": two, "right": two})
     assert (asked, [m.name for m in found]) == (searched, ["right", "wrong"])
+
+
+@pytest.mark.parametrize(
+    ("named", "left", "simply"),
+    [
+        (None, 1000, True),  # no effect is needed
+        (0, 1000, True),  # one explains everything
+        (1, 1000, False),  # two do
+        (0, 9000, False),  # one leaves much
+        (None, 9000, False),
+    ],
+)
+def test_a_machine_explains_simply_with_one_effect_or_none(monkeypatch, named, left, simply):
+    search = SimpleNamespace(is_noise=lambda hypothesis: sum(hypothesis.chi2) < 2100)
+    monkeypatch.setattr(machines, "Search", lambda pair, settings: search)
+    machine = _machine("a", 2000.0, left)
+    attribution = machine.searched.found.attribution
+    attribution.hypotheses = [replace(machine.plain, effects=(None,) * n) for n in (1, 2)]
+    found = SimpleNamespace(attribution=attribution, pair=machine.pair)
+    searched = SimpleNamespace(found=found, decision=SimpleNamespace(chosen=named))
+    options = CONFIG["diagnosis"]
+    assert machines._explains_simply(replace(machine, outcome=searched), options) is simply
+    assert not machines._explains_simply(replace(machine, outcome=None), options)
 
 
 def _machine(name: str, deviance: float, chi2: float) -> Machine:

@@ -32,7 +32,7 @@ class Machine:
 
     ``trials`` are the names of the fitted and of the held-out one, ``pair`` and ``plain`` in their order.
     ``deviance`` is minus twice the logarithm of the evidence of its answer. ``outcome`` is None where only single
-    effects were tried: the plain fit leaves more than noise, and another machine's leaves noise alone.
+    effects were tried: with another machine one effect or none leaves noise alone.
     """
 
     name: str
@@ -107,19 +107,22 @@ def search_machines(machines: Mapping[str, Trials]) -> list[Machine]:
     """Search for the cause with each machine, the likeliest first.
 
     ``machines`` are the same trials with each machine, by its name. The search begins with the machine whose plain fit
-    has most evidence. Where that alone explains the trials, of the others whose plain fits do not only single effects
-    are tried, and everything where one of them comes near.
+    has most evidence. Where that explains the trials with one effect or none, a machine that needs more of them loses
+    by what they cost: with another whose plain fit leaves more than noise only single effects are tried, and
+    everything where one of them comes near.
     """
     prepared = {name: _prepare(name, trials) for name, trials in machines.items()}
     order = sorted(prepared, key=lambda name: prepared[name].deviance)
     out: list[Machine] = []
     for name in order:
         own = prepared[name]
-        simplest = next((m for m in out if _explains_alone(m, own.trials.options)), None)
+        options = own.trials.options
+        simplest = next((m for m in out if _explains_simply(m, options)), None)
         # further trials count in the evidence of a search alone
         if simplest is not None and not own.is_noise and not own.trials.further:
             tried = _with_one_effect(name, own)
-            if tried.deviance > simplest.deviance:
+            share = probabilities([simplest, tried], options)[1]
+            if share < options["calibration"]["ambiguity_probability"]:
                 out.append(tried)
                 continue
         out.append(_searched(name, own))
@@ -163,19 +166,19 @@ def _with_one_effect(name: str, own: _Prepared) -> Machine:
     left = [sum(h.chi2) + h.occam - own.plain.occam + further_price(options["calibration"]) for h in fitted]
     best = min([sum(own.plain.chi2), *left])
     own.trials.progress(
-        f"{name}: deviance {best:.0f} with the best single effect, and another machine needs none"
+        f"{name}: deviance {best:.0f} with the best single effect, and another machine needs no more than one"
     )
     names = own.trials.train, own.trials.held_out
     return Machine(name, names, pair, own.plain, best + own.common)
 
 
-def _explains_alone(machine: Machine, options: DiagnosisSettings) -> bool:
-    """Return whether a machine leaves noise alone without any effect."""
+def _explains_simply(machine: Machine, options: DiagnosisSettings) -> bool:
+    """Return whether a machine leaves noise alone with the one effect that its answer names, or without any."""
     if machine.outcome is None:
         return False
-    found = machine.outcome.found
-    is_noise = Search(found.pair, options["search"]).is_noise(found.attribution.plain)
-    return machine.outcome.decision.chosen is None and is_noise
+    found, named = machine.outcome.found, machine.outcome.decision.chosen
+    best = found.attribution.plain if named is None else found.attribution.hypotheses[named]
+    return len(best.effects) <= 1 and Search(found.pair, options["search"]).is_noise(best)
 
 
 def probabilities(machines: Sequence[Machine], options: DiagnosisSettings) -> list[float]:

@@ -117,6 +117,26 @@ def project(tmp_path) -> Study:
     return clean_study(tmp_path / "project")
 
 
+class Plans:
+    """The project as it is shipped, to be planned and not to be changed: each plan is made once."""
+
+    def __init__(self, study: Study):
+        self._study = study
+        self._known: dict[tuple[str, ...], dict[str, int]] = {}
+
+    def planned(self, *arguments: str) -> dict[str, int]:
+        """Jobs per rule, as of `Study.planned`."""
+        if arguments not in self._known:
+            self._known[arguments] = self._study.planned(*arguments)
+        return self._known[arguments]
+
+
+@pytest.fixture(scope="session")
+def shipped(tmp_path_factory) -> Plans:
+    """Plans of the project as it is shipped."""
+    return Plans(clean_study(tmp_path_factory.mktemp("shipped") / "project"))
+
+
 def miniature(folder: Path) -> Study:
     """The project with the miniature's people and budget."""
     study = clean_study(folder)

@@ -26,8 +26,8 @@ def _add(project, name: str, cohort: str, trials: tuple[str, ...]) -> None:
 SWEPT = ("neutral", "rotation_T08", "translation_T08")
 
 
-def test_a_person_is_planned_with_a_full_calibration_of_theirs_only_to_compare(project):
-    planned = project.planned("person_S06")
+def test_a_person_is_planned_with_a_full_calibration_of_theirs_only_to_compare(project, shipped):
+    planned = shipped.planned("person_S06")
     assert planned["fit"] == 12, (
         "the cohort's, behind the priors, and the first unseen person's to compare with"
     )

@@ -16,8 +16,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.conftest import miniature
-
 RESULTS = (
     "trials",
     "tightness",
@@ -40,23 +38,17 @@ def _digests(folder: Path) -> dict[str, str]:
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-def _study_of(people: tuple[str, ...], raw: Path, folder: Path):
-    study = miniature(folder)
-    for name in people:
-        shutil.copytree(raw / name, study.folder / "resources" / "subjects" / name)
-    return study
-
-
-def _forget(study, names: tuple[str, ...]) -> None:
-    """Take results away, with all that is made of them: Snakemake makes a missing file again only up to the target."""
-    (study.folder / "results" / "report.html").unlink()
-    for name in (*names, "figures", "refined", "people"):
-        shutil.rmtree(study.folder / "results" / name)
+def _forget(study, names: tuple[str, ...]) -> list[str]:
+    """Take results away and return their files, as targets to make them again."""
+    folders = [study.folder / "results" / name for name in names]
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    for folder in folders:
+        shutil.rmtree(folder)
+    return [path.relative_to(study.folder).as_posix() for path in files]
 
 
 def test_same_numbers_with_one_core_and_two(mini_done, mini):
-    _forget(mini, RESULTS)
-    mini.snakemake("--cores", "1")
+    mini.snakemake("--cores", "1", *_forget(mini, RESULTS))
     assert _digests(mini.folder) == _digests(mini_done.folder)
 
 
@@ -104,9 +96,9 @@ def test_least_squares_reaches_a_lower_cost_than_a_short_cmaes(mini):
 
 @pytest.mark.parametrize("victim", ["fit", "snakemake"])
 def test_killed_and_started_again_ends_in_the_same_files(victim, mini_done, mini, tmp_path):
-    _forget(mini, RESULTS[RESULTS.index("fits") :])
+    files = _forget(mini, RESULTS[RESULTS.index("fits") :])
     process = subprocess.Popen(
-        [sys.executable, "-m", "snakemake", "--cores", "1"],
+        [sys.executable, "-m", "snakemake", "--cores", "1", *files],
         cwd=mini.folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -127,7 +119,7 @@ def test_killed_and_started_again_ends_in_the_same_files(victim, mini_done, mini
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
     mini.snakemake("--unlock")
-    mini.snakemake("--cores", "2")
+    mini.snakemake("--cores", "2", *files)
     for path, stamp in finished.items():
         assert path.stat().st_mtime_ns == stamp, f"{path} was finished and was fitted again"
     assert _digests(mini.folder) == _digests(mini_done.folder)
@@ -159,8 +151,10 @@ def _wait_for_a_fit_after_the_first(process: subprocess.Popen, folder: Path) -> 
     raise AssertionError("no fit was seen running")
 
 
-def test_one_person_alone_is_identified_and_told_what_is_missing(mini_raw, tmp_path):
-    alone = _study_of(("S01",), mini_raw, tmp_path / "alone")
+def test_one_person_alone_is_identified_and_told_what_is_missing(mini):
+    alone = mini
+    for name in ("S02", "S06"):
+        shutil.rmtree(alone.folder / "resources" / "subjects" / name)
     alone.configure(statistics={"min_subjects": 3})
     alone.snakemake("--cores", "2")
     fits = list((alone.folder / "results/fits/S01").rglob("*.json"))

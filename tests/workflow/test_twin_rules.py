@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 
-def test_the_study_validates_on_a_twin_of_the_person_kept_for_it(project):
-    planned = project.planned()
+def test_the_study_validates_on_a_twin_of_the_person_kept_for_it(shipped):
+    planned = shipped.planned()
     assert planned["twin_train"] == planned["twin_evaluate"] == planned["twin_coupled"] == 3
     assert planned["twin_reference"] == planned["twin_human"] == 1
     assert planned["gait_figure"] == planned["interface_figure"] == planned["twin_table"] == 1

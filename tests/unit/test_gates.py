@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -63,6 +64,17 @@ def test_robot_clock_that_starts_a_stride_off_finds_back(person):
         assert abs(fit.offset_s - fit.drift * fit.middle_s - truth) < 1e-3
 
 
+@pytest.fixture(scope="module")
+def few(folder, tmp_path_factory):
+    """The person with no more trials than the stage needs to tell them apart."""
+    out = tmp_path_factory.mktemp("few")
+    (out / "raw" / "S01").mkdir(parents=True)
+    for path in (folder / "raw" / "S01").iterdir():
+        if path.stem in ("subject", "neutral", "dynamic_1", "dynamic_2", "rotation_T10", "translation_T10"):
+            shutil.copy(path, out / "raw" / "S01")
+    return out
+
+
 def _run(folder, out, **quality):
     quality_subject(
         subject="S01",
@@ -73,24 +85,24 @@ def _run(folder, out, **quality):
     )
 
 
-def test_refused_trial_is_held_back_unless_overridden_by_name(folder, tmp_path):
+def test_refused_trial_is_held_back_unless_overridden_by_name(few, tmp_path):
     strict = {
         "noise": {"warn": 0.0, "refuse": 0.0},
         "excitation": CONFIG["quality"]["excitation"] | {"refuse": 99.0},
     }
     strict["excitation"]["warn"] = 100.0
-    _run(folder, tmp_path / "a", **strict)
+    _run(few, tmp_path / "a", **strict)
     with pytest.raises(InputError, match="excitation") as error:
         require([tmp_path / "a" / "dynamic_1.json"], "dynamic_1")
     assert "S01/dynamic_1" in error.value.remedy
     assert require([tmp_path / "a" / "rotation_T10.json"], "rotation_T10") == {}
-    _run(folder, tmp_path / "b", **strict, override={"S01/dynamic_1": "pilot"})
+    _run(few, tmp_path / "b", **strict, override={"S01/dynamic_1": "pilot"})
     assert require([tmp_path / "b" / "dynamic_1.json"], "dynamic_1") == {"S01/dynamic_1": ["excitation"]}
     assert (tmp_path / "a" / "dynamic_2.json").read_bytes() == (
         tmp_path / "b" / "dynamic_2.json"
     ).read_bytes()
     with pytest.raises(InputError, match="dynamic_9"):
-        _run(folder, tmp_path / "c", override={"S01/dynamic_9": "typo"})
+        _run(few, tmp_path / "c", override={"S01/dynamic_9": "typo"})
     gates = tmp_path / "b" / "gates.json"
     quality_table(gates=[gates], settings=CONFIG["quality"], out=tmp_path / "quality.csv")
     rows = read_table(tmp_path / "quality.csv")
@@ -102,11 +114,9 @@ def test_refused_trial_is_held_back_unless_overridden_by_name(folder, tmp_path):
     assert (tmp_path / "gates.png").stat().st_size > 10_000
 
 
-def test_unreadable_trial_is_refused_and_the_others_are_judged(folder, tmp_path):
-    import shutil
-
+def test_unreadable_trial_is_refused_and_the_others_are_judged(few, tmp_path):
     copy = tmp_path / "x" / "raw" / "S01"
-    shutil.copytree(folder / "raw" / "S01", copy)
+    shutil.copytree(few / "raw" / "S01", copy)
     (copy / "dynamic_2.tsv").write_text("nothing\n")
     _run(tmp_path / "x", tmp_path / "out")
     assert read_json(tmp_path / "out" / "dynamic_2.json")["refused"][0]["gate"] == "readable"

@@ -40,7 +40,7 @@ def _diagnosed(name: str, effect: str | None, folder: Path, duration_s: float) -
 @pytest.mark.parametrize(
     ("name", "effect", "duration_s", "verdicts"),
     [
-        ("emps", "coulomb", 5.0, ("coulomb", "lugre")),
+        # with dry friction it is diagnosed by its example (test_examples.py)
         ("emps", None, 4.0, ("none",)),
         ("bouc_wen", "hysteresis", 2.0, ("hysteresis",)),
         ("bouc_wen", None, 2.0, ("none",)),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
+from real2sim.verification.systems import one_axis
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -24,11 +25,14 @@ def _load(name: str):
 def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s, verdict, tmp_path):
     answer = _load(name).main(["--duration", str(duration_s), "--out", str(tmp_path)])
     assert answer.verdict == verdict
+    assert answer.probabilities[verdict] > 0.5
     assert {"diagnosis.json", "traces.png", "model.xml"} <= {path.name for path in tmp_path.iterdir()}
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
     mujoco.mj_step(model, mujoco.MjData(model))
     if name == "emps":
         assert model.dof_frictionloss[0] == pytest.approx(20.4, rel=0.1)
+        viscous = answer.answer.parameters["d_x"]["with_effect"]
+        assert viscous == pytest.approx(one_axis.EMPS["viscous"], rel=0.1)
 
 
 def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):

@@ -77,8 +77,11 @@ def test_the_configured_machine_stays_where_it_was_the_recorded_one(systems, rec
     assert machine["probability"] > 0.9
 
 
-def test_no_machine_is_compared_where_none_is_listed(systems, recordings):
-    assert r2s.diagnose(systems[0], **recordings, progress=lambda text: None).answer.beyond.machine is None
+def test_no_machine_is_compared_where_none_is_listed(monkeypatch):
+    outcome = SimpleNamespace()
+    monkeypatch.setattr(machines, "search_both_ways", lambda trials: outcome)
+    assert machines.search_with({CONFIGURED: SimpleNamespace()}) == (outcome, [])
+    assert machines.describe_machines([], CONFIG["diagnosis"]) is None
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ SETTINGS = {
     "diagnosis": {"search": {"refits": 6, "refits_close": 1, "iterations": 20, "pair_excess_sigma": 1e9}}
 }
 TRUE = {"shoulder": (20.0, 0.5), "elbow": (10.0, 0.2)}
-FINE_S, SAMPLE_S, NOISE_RAD = 2e-4, 0.01, 2e-4
+DURATION_S, FINE_S, SAMPLE_S, NOISE_RAD = 6.0, 2e-4, 0.01, 2e-4
 
 
 def record(name: str, amplitude: float, hz: tuple[float, ...], friction: float, seed: int) -> r2s.Recording:
@@ -66,7 +66,7 @@ def record(name: str, amplitude: float, hz: tuple[float, ...], friction: float, 
         rise = np.sin(np.pi / 2 * np.clip((t - 0.5) / 0.5, 0, 1)) ** 2
         return rise * amplitude * np.sin(2 * np.pi * np.array(hz) * t + phases).sum(axis=1)
 
-    for step in range(round(10 / FINE_S)):
+    for step in range(round(DURATION_S / FINE_S)):
         if step % round(SAMPLE_S / FINE_S) == 0:
             angles = data.qpos + NOISE_RAD * rng.standard_normal(2)
             rows.append((data.time, *torque(data.time), *angles))

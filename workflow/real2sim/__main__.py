@@ -154,7 +154,10 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     from real2sim.errors import InputError
     from real2sim.failures import FAILED
+    from real2sim.provenance import CODE, CODE_FILE
 
+    # the code's fingerprint is part of a result: the rules have read the library before
+    CODE.load(CODE_FILE)
     command, *rest = arguments
     function = _load(command)
     try:

@@ -100,6 +100,8 @@ def _is_for_types(node: ast.stmt) -> bool:
 
 
 CODE = CodeMemory()
+# what the rules remember of the code, for them and for their jobs
+CODE_FILE = Path(".snakemake") / "real2sim" / "code.json"
 
 
 def _file(module: str) -> Path | None:

@@ -38,7 +38,7 @@ from real2sim.inference.parameters import PARAMETERS
 from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
 from real2sim.verification.phantom.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
-from real2sim.provenance import CODE, fingerprint
+from real2sim.provenance import CODE, CODE_FILE, fingerprint
 from real2sim.recording.subjects import discover, require_operating_point
 from real2sim.system.model_files import model_files
 
@@ -114,8 +114,8 @@ PUBLISHED = STUDY["paths"]["published"]
 CONTENTS = Contents(Path(".snakemake") / "real2sim" / "contents.json")
 atexit.register(CONTENTS.save)
 # parsing the whole library for its fingerprints takes seconds: only what changed is parsed again
-CODE.load(Path(".snakemake") / "real2sim" / "code.json")
-atexit.register(CODE.save, Path(".snakemake") / "real2sim" / "code.json")
+CODE.load(CODE_FILE)
+atexit.register(CODE.save, CODE_FILE)
 ROBOT_CONTENT = CONTENTS.of(model_files(Path(ROBOT)))
 FIT_SETTINGS = json.dumps({key: STUDY[key] for key in ("identification", "plant", "robot")})
 DIAGNOSIS_SETTINGS = json.dumps(

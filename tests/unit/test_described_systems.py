@@ -58,6 +58,13 @@ def test_nonlinearity_is_named_and_nothing_where_there_is_none(name, effect, dur
         assert found == pytest.approx(one_axis.EMPS["viscous"], rel=0.1)
 
 
+def test_an_answer_is_the_same_bits_again(tmp_path):
+    files = [tmp_path / "first.json", tmp_path / "again.json"]
+    for path in files:
+        _diagnosed("bouc_wen", None, tmp_path, 1.0).save(path)
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
 @pytest.mark.skipif(not MEASURED.is_file(), reason=f"{MEASURED}: published without a licence, not in here")
 def test_dry_friction_of_the_measured_emps_has_the_published_size():
     """The first stroke is fitted and the next one predicted; there is no recording of standing still."""

@@ -15,13 +15,12 @@ def mini(mini_done, tmp_path_factory):
     return mini_done.copy(tmp_path_factory.mktemp("diagnosed") / "mini")
 
 
-def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
+def test_diagnosis_answers_without_truth(mini):
     assert not list(mini.folder.rglob("*sealed*"))
     answer = mini.folder / "results" / "diagnosis" / "S01" / "diagnosis.json"
     target = str(answer.relative_to(mini.folder))
     mini.snakemake("--cores", "2", target)
-    first = answer.read_bytes()
-    content = json.loads(first)
+    content = json.loads(answer.read_bytes())
     assert content["phantom"] is True
     assert content["train"] == ["dynamic_1"]
     assert content["held_out"] == ["dynamic_2"]
@@ -40,8 +39,7 @@ def test_diagnosis_answers_without_truth_and_twice_the_same(mini):
     assert not notes["complete"]
     assert any(line.startswith("soft_tissue") for line in notes["to_do"])
     page = answer.with_suffix(".html")
-    mini.snakemake("--cores", "2", "--forcerun", "diagnose", str(page.relative_to(mini.folder)))
-    assert answer.read_bytes() == first
+    mini.snakemake("--cores", "2", str(page.relative_to(mini.folder)))
     text = page.read_text(encoding="utf-8")
     assert "soft tissue" in text.replace("_", " ")
     assert "PHANTOM" in text.upper()

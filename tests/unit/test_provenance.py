@@ -44,6 +44,7 @@ def test_a_changed_constant_changes_the_hash_whatever_is_remembered(module, tmp_
     first = CodeMemory()
     before = first.of(module)
     first.save(memory)
+    assert memory.exists()
     module.write_text(CODE.replace("2", "3"))
     second = CodeMemory()
     second.load(memory)

@@ -128,8 +128,7 @@ class Library:
             effect = family.effect([scale * w for w in family.weights], _BOUND)
         else:
             effect = self._forced(family, scale)
-        # rhythms of two frequencies have one key
-        return Placed(effect, Where(self.system, (), 0, "", f"{family.key} {family.name}"), self._scales)
+        return Placed(effect, Where(self.system, (), 0, "", _name_of(family)), self._scales)
 
     def _forced(self, family: Family, scale: float) -> Effect:
         rows = family.terms
@@ -299,7 +298,8 @@ class TrialSlopes:
         return self.of_family[_name_of(family)]
 
 
-def _name_of(family: Family) -> str:
+def _name_of(family: AnyFamily) -> str:
+    # rhythms of two frequencies have one key
     return f"{family.key} {family.name}"
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from real2sim.diagnosis.attribute import finished
 from real2sim.diagnosis.decide import Decision, averaged, further_price, log_likelihood
 from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, Evidence
 from real2sim.diagnosis.refit import Hypothesis
@@ -163,13 +164,18 @@ def _with_one_effect(name: str, own: _Prepared) -> Machine:
     search = Search(pair, options["search"])
     promising = search.screen(own.plain, own.trials.placed(pair))[: options["search"]["quiet_refits"]]
     fitted = [search.fit_screened(screened) for screened in promising]
-    left = [sum(h.chi2) + h.occam - own.plain.occam + further_price(options["calibration"]) for h in fitted]
-    best = min([sum(own.plain.chi2), *left])
+    left = sum(own.plain.chi2)
+    if fitted:
+        nearest = min(fitted, key=lambda h: sum(h.chi2) + h.occam)
+        # the other machine's answer has converged too
+        h = finished(pair, nearest, options["search"])
+        price = h.occam - own.plain.occam + further_price(options["calibration"])
+        left = min(left, sum(h.chi2) + price)
     own.trials.progress(
-        f"{name}: deviance {best:.0f} with the best single effect, and another machine needs no more than one"
+        f"{name}: deviance {left:.0f} with the best single effect, and another machine needs no more than one"
     )
     names = own.trials.train, own.trials.held_out
-    return Machine(name, names, pair, own.plain, best + own.common)
+    return Machine(name, names, pair, own.plain, left + own.common)
 
 
 def _explains_simply(machine: Machine, options: DiagnosisSettings) -> bool:

@@ -23,6 +23,37 @@ ROOT = Path(__file__).parents[1]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TREE = ("Snakefile", "workflow", "config", "resources", "profiles", "environment-lock.txt")
 _IGNORE = shutil.ignore_patterns("__pycache__", "*.pyc", ".snakemake")
+# The search of a diagnosis with fewer refits, also of pairs
+SHORT_SEARCH = {"refits": 8, "refits_close": 1, "pair_refits": 1, "pair_screens": 0, "most_effects": 2}
+# Files that take minutes, the longest first. Workers are given files in this order (pyproject.toml), so that none of
+# them is left with a long one when all others have ended.
+LONG_FILES = (
+    "workflow/test_reruns.py",
+    "workflow/test_runs.py",
+    "workflow/test_diagnosis_rules.py",
+    "workflow/test_tutorial.py",
+    "workflow/test_person_rules.py",
+    "workflow/test_dag.py",
+    "workflow/test_documented_commands.py",
+    "workflow/test_statistics_rules.py",
+    "unit/test_described_systems.py",
+    "unit/test_wheel.py",
+    "unit/test_examples.py",
+    "unit/test_identity_gates.py",
+    "unit/test_phantom_gap.py",
+    "unit/test_machines_compared.py",
+    "unit/test_crafted_files.py",
+    "fuzz/test_fuzz.py",
+    "unit/test_gates.py",
+    "unit/test_twin_training.py",
+    "unit/test_paper_gap.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Move the files that take long to the front."""
+    place = {ROOT / "tests" / name: i for i, name in enumerate(LONG_FILES)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
 @dataclass

@@ -19,11 +19,11 @@ from real2sim.system.description import shipped
 from real2sim.verification.systems import cuff, drba, one_axis
 from real2sim.verification.systems.emps_data import read_emps
 
+from tests.conftest import SHORT_SEARCH
+
 GENERATORS = {"cuff": cuff, "drba": drba}
 MEASURED = Path(__file__).parents[3] / "shared" / "measured" / "emps" / "DATA_EMPS.mat"
-# The search of the diagnosis with fewer refits, also of pairs
-SHORT = {"refits": 8, "refits_close": 1, "pair_refits": 1, "pair_screens": 0, "most_effects": 2}
-SETTINGS = {"diagnosis": {"search": SHORT}}
+SETTINGS = {"diagnosis": {"search": SHORT_SEARCH}}
 
 
 def _diagnosed(name: str, effect: str | None, folder: Path, duration_s: float) -> r2s.Diagnosis:

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import mujoco
 import pytest
+import real2sim
 from real2sim.verification.systems import one_axis
+
+from tests.conftest import SHORT_SEARCH
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -19,6 +22,19 @@ def _load(name: str):
     return module
 
 
+@pytest.fixture
+def short_search(monkeypatch):
+    """Let the examples search less."""
+    diagnose = real2sim.diagnose
+
+    def shorter(*about, settings=None, **recordings):
+        own = (settings or {}).get("diagnosis", {})
+        return diagnose(*about, settings={"diagnosis": {"search": SHORT_SEARCH} | own}, **recordings)
+
+    monkeypatch.setattr(real2sim, "diagnose", shorter)
+
+
+@pytest.mark.usefixtures("short_search")
 @pytest.mark.parametrize(
     ("name", "duration_s", "verdict"), [("emps", 5.0, "coulomb"), ("cuff", 6.0, "slack")]
 )
@@ -35,6 +51,7 @@ def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s,
         assert viscous == pytest.approx(one_axis.EMPS["viscous"], rel=0.1)
 
 
+@pytest.mark.usefixtures("short_search")
 def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):
     module = _load("unlisted")
     answer = module.main(["--out", str(tmp_path)])

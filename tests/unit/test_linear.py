@@ -54,7 +54,7 @@ def along_a_path(folder):
 
 
 def _by_terms(evidence, library, base):
-    """Slopes (r, p) of a trial's residuals by the basis functions of the library's forces, as the screening has them."""
+    """Slopes (r, p) of the residuals by the basis functions of the library's forces, as the screening has them."""
     terms = free_form._terms_of(library.forces)
     return free_form._slopes_of(evidence, library, base).responses.by(list(terms.values()))
 

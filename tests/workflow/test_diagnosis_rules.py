@@ -8,11 +8,15 @@ import mujoco
 import pytest
 from real2sim.artefacts import number, read_table
 
+from tests.conftest import SHORT_SEARCH
+
 
 @pytest.fixture(scope="module")
 def mini(mini_done, tmp_path_factory):
     """One study for all tests of this file: what one of them diagnosed is not diagnosed again by the next."""
-    return mini_done.copy(tmp_path_factory.mktemp("diagnosed") / "mini")
+    study = mini_done.copy(tmp_path_factory.mktemp("diagnosed") / "mini")
+    study.configure(diagnosis={"search": SHORT_SEARCH})
+    return study
 
 
 def test_diagnosis_answers_without_truth(mini):

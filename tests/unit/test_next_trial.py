@@ -77,3 +77,17 @@ def test_a_proposal_is_told_in_one_phrase():
     assert nowhere.endswith("41 standard deviations of noise apart")
     with pytest.raises(KeyError):
         told({"motion": "sway"})
+
+
+def test_a_motion_that_parts_no_better_than_the_trial_at_hand_is_not_proposed():
+    tried = [
+        {"motion": "sway sideways", "difference_sd": 3.6},
+        {"motion": "sway in pitch", "difference_sd": 1.0},
+    ]
+    proposal = {"motion": "sway sideways", "rivals": ["a", "b"], "difference_sd": 3.6, "now_sd": 4.4}
+    text = told(proposal | {"tried": tried})
+    assert text.startswith(
+        "the held-out trial once more; a and b are 4 standard deviations of noise apart in it"
+    )
+    assert text.endswith("in none of the 2 motions that were tried")
+    assert told(proposal | {"tried": tried, "now_sd": 2.0}).startswith("sway sideways")

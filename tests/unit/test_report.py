@@ -56,6 +56,8 @@ def test_page_is_whole_and_loads_nothing(report):
     assert page.headings.count(1) == 1
     assert page.wordless == 0
     assert "Study <one> & all" in page.text
+    # a character that was escaped twice would be read as its code
+    assert not re.search(r"&(#?\w+);", page.text)
 
 
 def test_every_part_of_the_study_is_told(report):

@@ -107,9 +107,15 @@ def propose(
 
 
 def told(proposal: Mapping[str, Any]) -> str:
-    """Return a proposal of `propose` in one phrase."""
+    """Return a proposal of `propose` in one phrase: a motion, or the held-out trial again where none parts better."""
     one, other = proposal["rivals"]
     far, now = round(proposal["difference_sd"]), proposal["now_sd"]
+    if now is not None and far <= round(now):
+        # the difference at hand is counted beside what both trials tell: a second take adds as much again
+        return (
+            f"the held-out trial once more; {one} and {other} are {round(now)} standard deviations of noise apart in "
+            f"it, and further apart in none of the {len(proposal['tried'])} motions that were tried"
+        )
     known = "" if now is None else f", where they are {round(now)} apart in the trial at hand"
     return f"{proposal['motion']}; {one} and {other} would then be {far} standard deviations of noise apart{known}"
 

@@ -343,7 +343,7 @@ def _page(study: Study, title: str) -> str:
     parts = {name: make(study) for name, make in _SECTIONS.items()}
     shown = [part for part in parts.values() if part]
     contents = "".join(
-        f'<li><a href="#{name}">{escape(_heading(part))}</a></li>' for name, part in parts.items() if part
+        f'<li><a href="#{name}">{_heading(part)}</a></li>' for name, part in parts.items() if part
     )
     phantom = any(fit["phantom"] for fit in study.identification.fits)
     body = [
@@ -358,6 +358,7 @@ def _page(study: Study, title: str) -> str:
 
 
 def _heading(part: str) -> str:
+    """Heading of a section, in HTML."""
     return part.split("</h2>")[0].rsplit(">", 1)[1]
 
 

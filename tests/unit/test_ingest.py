@@ -329,14 +329,14 @@ def test_files_that_were_not_planned(copy, tmp_path):
 
 
 def test_rebuilt_marker_joins_the_measured_path_without_a_jump():
-    from real2sim.recording.ingest import _bridge
+    from real2sim.recording.missing_marker import bridge
 
     offset = np.full((50, 3), np.nan)
     offset[:20], offset[30:] = [0.004, 0.0, -0.002], [0.010, 0.0, -0.002]
-    bridged = _bridge(offset, slice(20, 30))
+    bridged = bridge(offset, slice(20, 30))
     assert np.allclose(bridged[0], offset[19])
     assert np.all(np.diff(bridged[:, 0]) > 0)
     assert np.abs(bridged[-1] - offset[30]).max() < 0.001
-    assert np.allclose(_bridge(offset, slice(0, 0)).shape, (0, 3))
+    assert np.allclose(bridge(offset, slice(0, 0)).shape, (0, 3))
     offset[30:] = np.nan
-    assert np.allclose(_bridge(offset, slice(20, 50)), offset[0])
+    assert np.allclose(bridge(offset, slice(20, 50)), offset[0])

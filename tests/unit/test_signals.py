@@ -201,7 +201,8 @@ def test_rebuild_point():
     rotation = Rotation.random(30, random_state=1).as_matrix()
     points = np.einsum("nij,kj->nki", rotation, model) + rng.normal(size=(30, 1, 3))
     for missing in range(4):
-        rebuilt = alignment.rebuild_point(points, model, missing)
+        turned, rebuilt = alignment.rebuild_point(points, model, missing)
+        np.testing.assert_allclose(turned, rotation, atol=1e-12)
         np.testing.assert_allclose(rebuilt, points[:, missing], atol=1e-12)
 
 

@@ -37,6 +37,15 @@ PathsSettings = TypedDict(
     },
 )
 
+IngestSkinSettings = TypedDict(
+    "IngestSkinSettings",
+    {
+        "carried_m_per_rad": float,
+        "carried_per_stretch": float,
+        "most_twist_rad": float,
+    },
+)
+
 IngestUnitsPelvisAnglesSettings = TypedDict(
     "IngestUnitsPelvisAnglesSettings",
     {
@@ -109,6 +118,7 @@ IngestSettings = TypedDict(
         "filter_order": int,
         "max_gap_s": float,
         "min_complete": float,
+        "skin": IngestSkinSettings,
         "max_marker_jump_m": float,
         "units": IngestUnitsSettings,
         "swap": IngestSwapSettings,

@@ -316,13 +316,16 @@ def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     return rotation
 
 
-def rebuild_point(points: np.ndarray, model: np.ndarray, missing: int) -> np.ndarray:
-    """One point (n, 3) of a rigid body of four from the other three: (n, 4, 3) measured, (4, 3) model."""
+def rebuild_point(points: np.ndarray, model: np.ndarray, missing: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (n, 3, 3) of a rigid body of four by three of its points, and the other point (n, 3).
+
+    ``points`` (n, 4, 3) are measured, ``model`` (4, 3) are their places in the body.
+    """
     rest = [i for i in range(points.shape[1]) if i != missing]
     measured, reference = points[:, rest], model[rest]
     centre, origin = measured.mean(axis=1), reference.mean(axis=0)
     u, _, vt = np.linalg.svd(np.swapaxes(measured - centre[:, None], 1, 2) @ (reference - origin))
     sign = np.linalg.det(u @ vt)
     u[:, :, 2] *= sign[:, None]
-    rebuilt: np.ndarray = centre + (u @ vt) @ (model[missing] - origin)
-    return rebuilt
+    rotation: np.ndarray = u @ vt
+    return rotation, centre + rotation @ (model[missing] - origin)

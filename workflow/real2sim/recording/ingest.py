@@ -15,7 +15,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.provenance import sha256
-from real2sim.recording import alignment, units
+from real2sim.recording import alignment, missing_marker, units
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translation
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
@@ -269,37 +269,15 @@ def _pelvis(
         alone = ~there[:, i] & (there.sum(axis=1) == 3)
         if not alone.any():
             continue
-        others = np.delete(there, i, axis=1).all(axis=1)
-        rebuilt = np.full_like(points[:, i], np.nan)
-        rebuilt[others] = alignment.rebuild_point(points[others], reference, i)
+        rebuilt = missing_marker.place(points, there, reference, i, trial.settings["skin"])
         offset = points[:, i] - rebuilt
         for run in signals.segments(alone):
-            points[run, i] = rebuilt[run] + _bridge(offset, run)
+            points[run, i] = rebuilt[run] + missing_marker.bridge(offset, run)
             span = f"{name}, {clock[run.start]:.2f} to {clock[run.stop - 1]:.2f} s"
             message = f"{run.stop - run.start} samples of the pelvis pose without this marker"
-            action = "rebuilt from the other three and the geometry of the neutral trial"
+            action = "rebuilt from the other three, and from how skin carries it along in this trial"
             trial.note("pelvis_rebuilt", "warning", trial.tsv, span, message, action)
     return geometry.pelvis_frame(*np.moveaxis(points, 1, 0))
-
-
-def _bridge(offset: np.ndarray, gap: slice) -> np.ndarray:
-    """Return the correction of a rebuilt marker (n, 3) in a gap: measured minus rebuilt at its edges, linear between.
-
-    Skin moves the marker off its place in the neutral trial; without this the pose would jump where the marker
-    is lost and found.
-    """
-    edges = {}
-    for at, near in (
-        (gap.start, slice(max(gap.start - 5, 0), gap.start)),
-        (gap.stop, slice(gap.stop, gap.stop + 5)),
-    ):
-        good = signals.known(offset[near])
-        if good.any():
-            edges[at] = offset[near][good].mean(axis=0)
-    if not edges:
-        return np.zeros((gap.stop - gap.start, 3))
-    k = np.arange(gap.start, gap.stop)
-    return np.column_stack([np.interp(k, list(edges), [e[c] for e in edges.values()]) for c in range(3)])
 
 
 def _rest(r: np.ndarray, p: np.ndarray, trial: _Trial) -> dict[str, Any]:

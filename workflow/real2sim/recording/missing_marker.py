@@ -1,0 +1,85 @@
+"""A pelvis marker that is lost for long, put back from the other three.
+
+The four are no rigid body: skin carries each of them along as the pelvis turns and as the skin stretches. How far is
+read from the frames of the same trial in which all four are seen, as intercorrelations of markers are (Gløersen and
+Federolf 2016, doi:10.1371/journal.pone.0152616).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from real2sim import signals
+from real2sim.geometry import mean_rotation
+from real2sim.recording import alignment
+
+if TYPE_CHECKING:
+    from real2sim.settings import IngestSkinSettings
+
+
+def place(
+    points: np.ndarray, seen: np.ndarray, model: np.ndarray, missing: int, skin: IngestSkinSettings
+) -> np.ndarray:
+    """Return where the marker ``missing`` is by the other three (n, 3) [m], NaN where these are not all seen.
+
+    ``points`` (n, 4, 3) [m] are in the world with z up, ``seen`` (n, 4) where they were measured, and ``model`` (4, 3)
+    [m] their places in the pelvis at rest; ``skin`` is the slice ``ingest.skin`` of the configuration. Without a frame
+    in which all four are seen, they are taken for a rigid body.
+    """
+    others = [i for i in range(points.shape[1]) if i != missing]
+    known = seen[:, others].all(axis=1)
+    out = np.full((len(points), 3), np.nan)
+    rotation, rigid = alignment.rebuild_point(points[known], model, missing)
+    out[known] = rigid
+    both = seen[known, missing]
+    if both.any():
+        causes = _causes(rotation, points[known][:, others], skin["most_twist_rad"])
+        way = np.einsum("nji,nj->ni", rotation[both], points[known, missing][both] - rigid[both])
+        prior = [np.inf, *[skin["carried_m_per_rad"]] * 3, *[skin["carried_per_stretch"]] * 3]
+        carried = causes @ _fitted(causes[both], way, np.array(prior))
+        out[known] += np.einsum("nij,nj->ni", rotation, carried)
+    return out
+
+
+def bridge(offset: np.ndarray, gap: slice) -> np.ndarray:
+    """Return what to add to a marker in a gap (k, 3): measured minus put back (n, 3) at its edges, linear between.
+
+    What carries the skin along is not all known; without this the pose would jump where the marker is lost and found.
+    """
+    edges = {}
+    for at, near in (
+        (gap.start, slice(max(gap.start - 5, 0), gap.start)),
+        (gap.stop, slice(gap.stop, gap.stop + 5)),
+    ):
+        good = signals.known(offset[near])
+        if good.any():
+            edges[at] = offset[near][good].mean(axis=0)
+    if not edges:
+        return np.zeros((gap.stop - gap.start, 3))
+    k = np.arange(gap.start, gap.stop)
+    return np.column_stack([np.interp(k, list(edges), [e[c] for e in edges.values()]) for c in range(3)])
+
+
+def _causes(rotation: np.ndarray, others: np.ndarray, most_twist_rad: float) -> np.ndarray:
+    """Return what carries skin along, (n, 7): a constant, the pelvis' turn [rad], the stretch between the others [m].
+
+    Skin follows the pelvis against the legs. Who turns round takes the legs along: beyond a twist the heading is left
+    out.
+    """
+    heading = np.unwrap(Rotation.from_matrix(rotation).as_euler("ZYX")[:, 0])
+    if np.ptp(heading) > most_twist_rad:
+        rotation = Rotation.from_euler("z", -heading[:, None]).as_matrix() @ rotation
+    turn = Rotation.from_matrix(mean_rotation(rotation).T @ rotation).as_rotvec()
+    apart = np.linalg.norm(others - np.roll(others, 1, axis=1), axis=2)
+    return np.column_stack([np.ones(len(turn)), turn, apart - apart.mean(axis=0)])
+
+
+def _fitted(causes: np.ndarray, way: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
+    """Return coefficients (k, 3) of a linear fit with a Gaussian prior of SD (k,), at the noise of the fit without."""
+    free = np.linalg.lstsq(causes, way, rcond=None)[0]
+    noise = float(np.sqrt(np.mean((way - causes @ free) ** 2)))
+    rows, nothing = np.diag(noise / prior_sd), np.zeros((len(prior_sd), way.shape[1]))
+    return np.asarray(np.linalg.lstsq(np.vstack([causes, rows]), np.vstack([way, nothing]), rcond=None)[0])

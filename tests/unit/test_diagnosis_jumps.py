@@ -19,6 +19,7 @@ from tests.unit.test_coupling import PRIOR
 
 RATE, SETTLE_S = 100.0, 0.5
 OPTIONS = validated({}, "config", Path("defaults"))["diagnosis"]["jumps"]
+SKIN = validated({}, "config", Path("defaults"))["ingest"]["skin"]
 RULE = JumpRule(RATE, 12.0, OPTIONS)
 RESIDUAL_SD = OPTIONS["residual_sd"]
 TIME = np.arange(1200) / RATE
@@ -59,7 +60,7 @@ def test_a_body_that_moves_and_skin_that_slides_are_no_jumps():
     for seed in range(20):
         assert not ghosts(filtered(body(), seed), RULE).any()
     trial = seen(filtered(body()))
-    same, jumped = without_ghosts(trial, RULE, SETTLE_S)
+    same, jumped = without_ghosts(trial, RULE, SKIN, SETTLE_S)
     assert same is trial
     assert jumped == {}
 
@@ -76,7 +77,7 @@ def test_a_ghost_is_put_where_its_marker_was_to_the_others(marker, axis):
     assert not np.delete(found, marker, axis=1).any()
     assert not found[:280].any()
     assert not found[330:].any()
-    mended, jumped = without_ghosts(trial, RULE, SETTLE_S)
+    mended, jumped = without_ghosts(trial, RULE, SKIN, SETTLE_S)
     assert list(jumped) == [PELVIS_MARKERS[marker]]
     assert 0.2 < jumped[PELVIS_MARKERS[marker]] < 0.5
     # noise of the three that are left; a PSIS that jumps forward turns nothing
@@ -90,7 +91,7 @@ def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
     jumped = body()
     jumped[500:503, 0] += 0.02
     jumped[502:505, 3] -= 0.02
-    mended, lasts = without_ghosts(seen(filtered(jumped)), RULE, SETTLE_S)
+    mended, lasts = without_ghosts(seen(filtered(jumped)), RULE, SKIN, SETTLE_S)
     # two at once make the others doubtful too
     assert {"ASIS_L", "PSIS_R"} <= set(lasts)
     lost = ~np.isfinite(mended.pelvis_position).all(axis=1)

@@ -15,10 +15,11 @@ import numpy as np
 
 from real2sim import signals
 from real2sim.geometry import PELVIS_MARKERS, pelvis_frame
+from real2sim.recording import missing_marker
 from real2sim.recording.trial import Trial, usable
 
 if TYPE_CHECKING:
-    from real2sim.settings import DiagnosisJumpsSettings
+    from real2sim.settings import DiagnosisJumpsSettings, IngestSkinSettings
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,13 @@ def around(marked: np.ndarray, rule: JumpRule, reach: str) -> np.ndarray:
     return np.stack([np.convolve(column, width, "same") > 0.5 for column in marked.T], axis=1)
 
 
-def without_ghosts(trial: Trial, rule: JumpRule, settle_s: float) -> tuple[Trial, dict[str, float]]:
+def without_ghosts(
+    trial: Trial, rule: JumpRule, skin: IngestSkinSettings, settle_s: float
+) -> tuple[Trial, dict[str, float]]:
     """The trial with the pelvis from its other three markers where one is a ghost, unknown where two are.
 
-    Skin goes on as it did: a ghost is put where its marker was to the other three before, and is after. ``settle_s``:
-    see `load_trial`. Also for how long [s] which markers are not believed.
+    A ghost is put where its marker would have been, had it been lost (`missing_marker`); ``skin`` is the slice
+    ``ingest.skin``. ``settle_s``: see `load_trial`. Also for how long [s] which markers are not believed.
     """
     found = ghosts(trial.pelvis_markers, rule)
     lasts = found.sum(axis=0) / rule.rate_hz
@@ -96,15 +99,16 @@ def without_ghosts(trial: Trial, rule: JumpRule, settle_s: float) -> tuple[Trial
     if not jumped:
         return trial, {}
     markers = trial.pelvis_markers.copy()
-    for marker in np.flatnonzero(found.any(axis=0)):
-        others = [i for i in range(4) if i != marker]
-        rotation, origin = _frame(trial.pelvis_markers[:, others])
-        place = np.einsum("nji,nj->ni", rotation, trial.pelvis_markers[:, marker] - origin)
-        place[found.any(axis=1)] = np.nan
-        if not np.isfinite(place).any():
-            continue
-        put = origin + np.einsum("nij,nj->ni", rotation, signals.bridged(place))
-        markers[found[:, marker], marker] = put[found[:, marker]]
+    believed = np.isfinite(markers).all(axis=2) & ~found
+    whole = markers[believed.all(axis=1)]
+    if len(whole):
+        turned, origin = pelvis_frame(*np.moveaxis(whole, 1, 0))
+        model = np.einsum("nji,nkj->nki", turned, whole - origin[:, None]).mean(axis=0)
+        lost = np.where(believed[:, :, None], markers, np.nan)
+        for marker in np.flatnonzero(found.any(axis=0)).tolist():
+            put = missing_marker.place(lost, believed, model, marker, skin)
+            for run in signals.segments(found[:, marker]):
+                markers[run, marker] = put[run] + missing_marker.bridge(lost[:, marker] - put, run)
     markers[found.sum(axis=1) > 1] = np.nan
     changed = found.any(axis=1)
     rotation, position = trial.pelvis_rotation.copy(), trial.pelvis_position.copy()
@@ -112,9 +116,3 @@ def without_ghosts(trial: Trial, rule: JumpRule, settle_s: float) -> tuple[Trial
     counts = trial.usable & usable(np.isfinite(position).all(axis=1), rule.rate_hz, settle_s)
     there = replace(trial, pelvis_rotation=rotation, pelvis_position=position)
     return replace(there, pelvis_markers=markers, usable=counts), jumped
-
-
-def _frame(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (n, 3, 3) and origins (n, 3) of three markers (n, 3, 3)."""
-    a, b, c = np.moveaxis(markers, 1, 0)
-    return pelvis_frame(a, b, c, c)

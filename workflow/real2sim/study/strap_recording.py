@@ -104,7 +104,7 @@ def _read(
     rule = JumpRule(rate, settings["ingest"]["cutoff_hz"], options["jumps"])
     trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
-    trial, jumped = without_ghosts(trial, rule, ident["settle_after_gap_s"])
+    trial, jumped = without_ghosts(trial, rule, settings["ingest"]["skin"], ident["settle_after_gap_s"])
     smoothing = CutoffRule(**options["pelvis"])
     trial, cutoff = smoothed_pelvis(
         trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start, smoothing

@@ -69,7 +69,7 @@ def _causes(rotation: np.ndarray, others: np.ndarray, most_twist_rad: float) -> 
     Skin follows the pelvis against the legs. Who turns round takes the legs along: beyond a twist the heading is left
     out.
     """
-    heading = np.unwrap(Rotation.from_matrix(rotation).as_euler("ZYX")[:, 0])
+    heading = np.unwrap(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
     if np.ptp(heading) > most_twist_rad:
         rotation = Rotation.from_euler("z", -heading[:, None]).as_matrix() @ rotation
     turn = Rotation.from_matrix(mean_rotation(rotation).T @ rotation).as_rotvec()

@@ -39,6 +39,7 @@ LONG_FILES = (
     "unit/test_described_systems.py",
     "unit/test_wheel.py",
     "unit/test_examples.py",
+    "unit/test_library_page.py",
     "unit/test_identity_gates.py",
     "unit/test_phantom_gap.py",
     "unit/test_machines_compared.py",

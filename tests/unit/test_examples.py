@@ -36,7 +36,7 @@ def short_search(monkeypatch):
 
 @pytest.mark.usefixtures("short_search")
 @pytest.mark.parametrize(
-    ("name", "duration_s", "verdict"), [("emps", 5.0, "coulomb"), ("cuff", 6.0, "slack")]
+    ("name", "duration_s", "verdict"), [("emps", 5.0, "coulomb"), ("cuff", 4.0, "slack")]
 )
 def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s, verdict, tmp_path):
     answer = _load(name).main(["--duration", str(duration_s), "--out", str(tmp_path)])

@@ -32,17 +32,7 @@ RESULTS = (
 )
 
 # What is made of fits, and says so where one of them was overridden
-MARKED = (
-    "fits",
-    "identifiability",
-    "noise_floor",
-    "cross_trial",
-    "shareability",
-    "priors",
-    "loso",
-    "tables",
-    "refined",
-)
+MARKED = (*RESULTS[RESULTS.index("fits") :], "refined")
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -250,12 +250,9 @@ def _standing_noise(recording: MarkerRecording) -> dict[str, list[float]]:
 
 def _pelvis_geometry(positions: dict[str, np.ndarray]) -> dict[str, list[float]]:
     """The four pelvis markers in the pelvis frame [m], averaged over samples at which all are there."""
-    rotation, origin = geometry.pelvis_frame(*(positions[name] for name in geometry.PELVIS_MARKERS))
-    out = {}
-    for name in geometry.PELVIS_MARKERS:
-        local = np.einsum("nji,nj->ni", rotation, positions[name] - origin)
-        out[name] = [float(x) for x in local[signals.known(local)].mean(axis=0)]
-    return out
+    points = np.stack([positions[name] for name in geometry.PELVIS_MARKERS], axis=1)
+    places = missing_marker.places_in_pelvis(points)
+    return dict(zip(geometry.PELVIS_MARKERS, places.tolist(), strict=True))
 
 
 def _pelvis(
@@ -269,10 +266,10 @@ def _pelvis(
         alone = ~there[:, i] & (there.sum(axis=1) == 3)
         if not alone.any():
             continue
-        rebuilt = missing_marker.place(points, there, reference, i, trial.settings["skin"])
-        offset = points[:, i] - rebuilt
-        for run in signals.segments(alone):
-            points[run, i] = rebuilt[run] + missing_marker.bridge(offset, run)
+        runs = signals.segments(alone)
+        filled = missing_marker.put_back(points, there, reference, i, runs, trial.settings["skin"])
+        points[alone, i] = filled[alone]
+        for run in runs:
             span = f"{name}, {clock[run.start]:.2f} to {clock[run.stop - 1]:.2f} s"
             message = f"{run.stop - run.start} samples of the pelvis pose without this marker"
             action = "rebuilt from the other three, and from how skin carries it along in this trial"

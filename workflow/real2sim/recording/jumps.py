@@ -100,15 +100,13 @@ def without_ghosts(
         return trial, {}
     markers = trial.pelvis_markers.copy()
     believed = np.isfinite(markers).all(axis=2) & ~found
-    whole = markers[believed.all(axis=1)]
-    if len(whole):
-        turned, origin = pelvis_frame(*np.moveaxis(whole, 1, 0))
-        model = np.einsum("nji,nkj->nki", turned, whole - origin[:, None]).mean(axis=0)
+    if believed.all(axis=1).any():
         lost = np.where(believed[:, :, None], markers, np.nan)
+        model = missing_marker.places_in_pelvis(lost)
         for marker in np.flatnonzero(found.any(axis=0)).tolist():
-            put = missing_marker.place(lost, believed, model, marker, skin)
-            for run in signals.segments(found[:, marker]):
-                markers[run, marker] = put[run] + missing_marker.bridge(lost[:, marker] - put, run)
+            runs = signals.segments(found[:, marker])
+            filled = missing_marker.put_back(lost, believed, model, marker, runs, skin)
+            markers[found[:, marker], marker] = filled[found[:, marker]]
     markers[found.sum(axis=1) > 1] = np.nan
     changed = found.any(axis=1)
     rotation, position = trial.pelvis_rotation.copy(), trial.pelvis_position.copy()

@@ -7,28 +7,53 @@ Federolf 2016, doi:10.1371/journal.pone.0152616).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
-from real2sim.geometry import mean_rotation
+from real2sim.geometry import mean_rotation, pelvis_frame
 from real2sim.recording import alignment
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSkinSettings
 
 
-def place(
-    points: np.ndarray, seen: np.ndarray, model: np.ndarray, missing: int, skin: IngestSkinSettings
+def places_in_pelvis(points: np.ndarray) -> np.ndarray:
+    """Return the mean places (4, 3) of the pelvis markers (n, 4, 3) in the pelvis [m], where all four are seen."""
+    rotation, origin = pelvis_frame(*np.moveaxis(points, 1, 0))
+    local = np.einsum("nji,nkj->nki", rotation, points - origin[:, None])
+    return np.asarray(local[np.isfinite(local).all(axis=(1, 2))].mean(axis=0))
+
+
+def put_back(
+    points: np.ndarray,
+    seen: np.ndarray,
+    model: np.ndarray,
+    missing: int,
+    gaps: Sequence[slice],
+    skin: IngestSkinSettings,
 ) -> np.ndarray:
-    """Return where the marker ``missing`` is by the other three (n, 3) [m], NaN where these are not all seen.
+    """Return the path (n, 3) [m] of the marker ``missing`` with its gaps filled from the other three.
 
     ``points`` (n, 4, 3) [m] are in the world with z up, ``seen`` (n, 4) where they were measured, and ``model`` (4, 3)
-    [m] their places in the pelvis at rest; ``skin`` is the slice ``ingest.skin`` of the configuration. Without a frame
-    in which all four are seen, they are taken for a rigid body.
+    [m] their places in the pelvis at rest; ``skin`` is the slice ``ingest.skin`` of the configuration. A gap is NaN
+    where the other three are not all seen. Without a frame in which all four are, they are taken for a rigid body.
     """
+    out = np.where(seen[:, missing, None], points[:, missing], np.nan)
+    there = _place(points, seen, model, missing, skin)
+    offset = out - there
+    for gap in gaps:
+        out[gap] = there[gap] + bridge(offset, gap)
+    return out
+
+
+def _place(
+    points: np.ndarray, seen: np.ndarray, model: np.ndarray, missing: int, skin: IngestSkinSettings
+) -> np.ndarray:
+    """Return where the marker is by the other three (n, 3), as of `put_back` but for what is missed at the edges."""
     others = [i for i in range(points.shape[1]) if i != missing]
     known = seen[:, others].all(axis=1)
     out = np.full((len(points), 3), np.nan)

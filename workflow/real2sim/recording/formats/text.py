@@ -242,7 +242,8 @@ def _fast(lines: Sequence[str], rows: np.ndarray, width: int, blank: bool) -> np
         strings_can_be_null=False,
     )
     parse = csv.ParseOptions(delimiter="\t", quote_char=False, ignore_empty_lines=True)
-    read = csv.ReadOptions(column_names=names, block_size=1 << 22)
+    # threads read pieces ahead, as many as the machine is slow, and hold them all
+    read = csv.ReadOptions(column_names=names, block_size=1 << 20, use_threads=False)
     out, at = np.empty((len(rows), width)), 0
     try:
         # piece by piece: the whole table twice takes more memory than the bar for a file of one digit a cell

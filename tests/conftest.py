@@ -18,7 +18,8 @@ import pytest
 import yaml
 from real2sim.provenance import LIBRARY, CodeMemory
 
-ROOT = Path(__file__).parents[1]
+from tests.plain_environment import ROOT, plain_environment
+
 # two workers with two threads of BLAS each cost a hundred times what they save; before any test imports numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TREE = ("Snakefile", "workflow", "config", "resources", "profiles", "environment-lock.txt")
@@ -64,12 +65,16 @@ class Study:
     folder: Path
 
     def snakemake(
-        self, *arguments: str, check: bool = True, timeout: float = 2400
+        self,
+        *arguments: str,
+        check: bool = True,
+        timeout: float = 2400,
+        variables: dict[str, str] | None = None,
     ) -> subprocess.CompletedProcess:
-        """Run snakemake there; the output of both streams is in ``stdout``."""
+        """Run snakemake there, with further variables; the output of both streams is in ``stdout``."""
         # with its byte code kept, each of the many jobs does not compile the library again
         dropped = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "SNAKEMAKE")
-        environment = {k: v for k, v in os.environ.items() if not k.startswith(dropped)}
+        environment = {k: v for k, v in os.environ.items() if not k.startswith(dropped)} | (variables or {})
         done = subprocess.run(
             [sys.executable, "-m", "snakemake", *arguments],
             cwd=self.folder,
@@ -232,7 +237,8 @@ def mini_done(_mini_raw, tmp_path_factory) -> Study:
         study = miniature(folder)
         for name in ("S01", "S02", "S06"):
             shutil.copytree(_mini_raw / name, folder / "resources" / "subjects" / name)
-        study.snakemake("--cores", "2")
+        # as somebody runs it who has environment-lock.txt alone
+        study.snakemake("--cores", "2", variables=plain_environment(folder.with_name("plain")))
 
     return Study(_once(tmp_path_factory, "done", run))
 

@@ -12,8 +12,7 @@ import sys
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
-from tests.conftest import ROOT
-
+ROOT = Path(__file__).parents[1]
 # Needed to run at all, and of no distribution of the lock
 _OWN = {"pip", "setuptools", "phri-real2sim"}
 _SITE = """
@@ -52,9 +51,9 @@ def absent() -> set[str]:
     }
 
 
-def environment(folder: Path) -> dict[str, str]:
+def plain_environment(folder: Path) -> dict[str, str]:
     """Return variables for a process that can import what a user can; ``folder`` holds what sees to it."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "sitecustomize.py").write_text(_SITE.format(names=sorted(absent())), encoding="utf-8")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return {**os.environ, "PATH": path, "PYTHONPATH": str(folder)}
+    return {"PATH": path, "PYTHONPATH": str(folder)}

@@ -36,7 +36,8 @@ def short_search(monkeypatch):
 
 @pytest.mark.usefixtures("short_search")
 @pytest.mark.parametrize(
-    ("name", "duration_s", "verdict"), [("emps", 5.0, "coulomb"), ("cuff", 4.0, "slack")]
+    ("name", "duration_s", "verdict"),
+    [("emps", 5.0, "coulomb"), pytest.param("cuff", 4.0, "slack", marks=pytest.mark.long)],
 )
 def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s, verdict, tmp_path):
     answer = _load(name).main(["--duration", str(duration_s), "--out", str(tmp_path)])
@@ -51,6 +52,7 @@ def test_an_example_names_what_it_simulates_and_writes_a_model(name, duration_s,
         assert viscous == pytest.approx(one_axis.EMPS["viscous"], rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_search")
 def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):
     module = _load("unlisted")

@@ -158,6 +158,7 @@ def test_no_module_looks_for_the_folders_of_a_checkout():
     ]
 
 
+@pytest.mark.long
 def test_a_system_of_two_joints_described_away_from_the_checkout_is_diagnosed(installed, tmp_path):
     """Dry friction in the elbow of an arm is named; the description is short."""
     script = ROOT / "tests" / "unit" / "two_joint_system.py"

@@ -50,6 +50,7 @@ def test_diagnosis_answers_without_truth(mini):
     assert 'href="model.xml"' in text
 
 
+@pytest.mark.long
 def test_the_papers_tables_stand_twice_where_everyone_is_diagnosed(mini):
     tables = [f"results/paper/with_effects/{name}.csv" for name in ("table1_priors", "transfer", "claims")]
     page = "results/report.html"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT, clean_study
-from tests.plain_environment import environment
+from tests.plain_environment import plain_environment
 
 PAGES = [ROOT / "README.md", ROOT / "config" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Files and people of the reader, that a clean clone does not have
@@ -36,7 +37,7 @@ def commands() -> list[str]:
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory) -> tuple[Path, dict[str, str]]:
     folder = tmp_path_factory.mktemp("documented")
-    return clean_study(folder / "project").folder, environment(folder / "plain")
+    return clean_study(folder / "project").folder, os.environ | plain_environment(folder / "plain")
 
 
 def test_pages_show_the_commands_that_people_need():
@@ -59,6 +60,15 @@ def test_a_documented_command_can_be_planned(clone, command):
         check=False,
     )
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+
+
+def test_the_readmes_bundle_of_the_report_is_made(mini, tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    command = next(c for c in re.findall(r"`(snakemake --report [^`]+)`", readme))
+    mini.snakemake(*command.split()[1:], variables=plain_environment(tmp_path / "plain"))
+    bundle = (mini.folder / command.split()[-1]).read_text(encoding="utf-8")
+    assert "report.html" in bundle
+    assert "priors" in bundle
 
 
 @pytest.mark.parametrize(

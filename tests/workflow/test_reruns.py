@@ -164,6 +164,7 @@ def test_part_that_a_robot_includes_is_an_input(mini):
     assert mini.planned(target)["step_study"] == 1
 
 
+@pytest.mark.long
 def test_gates_that_end_in_the_same_verdicts_fit_nothing(mini):
     verdicts = {
         path: path.read_bytes()

@@ -82,6 +82,7 @@ def test_every_parameter_has_a_verdict_and_every_cost_its_floor(mini):
         assert float(row["J_within_mean_1"]) > 0.5 * float(row["J_floor_1"])
 
 
+@pytest.mark.long
 def test_least_squares_reaches_a_lower_cost_than_a_short_cmaes(mini):
     before = {p: json.loads(p.read_text()) for p in (mini.folder / "results/fits").rglob("*.json")}
     mini.configure(identification={"method": "least_squares"})
@@ -92,7 +93,7 @@ def test_least_squares_reaches_a_lower_cost_than_a_short_cmaes(mini):
         assert after["cost"]["J"] <= fit["cost"]["J"] * 1.001
 
 
-@pytest.mark.parametrize("victim", ["fit", "snakemake"])
+@pytest.mark.parametrize("victim", [pytest.param("fit", marks=pytest.mark.long), "snakemake"])
 def test_killed_and_started_again_ends_in_the_same_files_with_one_core_and_two(victim, mini_done, mini):
     # all that rests on fits after the one, with one core throughout; a few of them after the other
     cores, names = ("1", RESULTS[RESULTS.index("fits") :]) if victim == "fit" else ("2", ("fits", "priors"))
@@ -151,6 +152,7 @@ def _wait_for_a_fit_after_the_first(process: subprocess.Popen, folder: Path) -> 
     raise AssertionError("no fit was seen running")
 
 
+@pytest.mark.long
 def test_one_person_alone_is_identified_and_told_what_is_missing(mini):
     alone = mini
     for name in ("S02", "S06"):
@@ -196,6 +198,7 @@ def _spiked(raw: Path) -> None:
     raw.write_text("\n".join(lines) + "\n")
 
 
+@pytest.mark.long
 def test_refused_trial_stops_and_once_overridden_marks_all_that_rests_on_it(mini):
     _spiked(mini.folder / "resources" / "subjects" / "S01" / "dynamic_1.tsv")
     shutil.rmtree(mini.folder / "results" / "fits" / "S01" / "dynamic_1")

@@ -5,6 +5,7 @@ The budget in config/quick.yaml and the phantom's trials are the miniature's, so
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 import yaml
 
 from tests.conftest import ROOT, miniature
-from tests.plain_environment import environment
+from tests.plain_environment import plain_environment
 
 COMMANDS = re.findall(
     r"^```sh\n(.+?)^```", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8"), re.S | re.M
@@ -24,7 +25,7 @@ def _shell(command: str, folder: Path) -> str:
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", command],
         cwd=folder,
-        env=environment(folder.parent / "plain"),
+        env=os.environ | plain_environment(folder.parent / "plain"),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -46,6 +47,7 @@ def told(tmp_path_factory) -> tuple[Path, list[str]]:
     return study.folder, [_shell(command, study.folder) for command in COMMANDS[:-1]]
 
 
+@pytest.mark.long
 def test_the_tutorial_ends_where_it_says(told):
     folder, said = told
     assert "dynamic_1.mcap" in said[0]
@@ -63,16 +65,7 @@ def test_the_tutorial_ends_where_it_says(told):
     assert not (folder / "results" / "fits" / "S01").exists(), "the phantom steps aside"
 
 
-def test_the_readmes_bundle_of_the_report_is_made(told):
-    folder, _ = told
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    command = next(c for c in re.findall(r"`(snakemake --report [^`]+)`", readme))
-    _shell(f"{command} --configfile config/quick.yaml", folder)
-    bundle = (folder / command.split()[-1]).read_text(encoding="utf-8")
-    assert "report.html" in bundle
-    assert "priors" in bundle
-
-
+@pytest.mark.long
 def test_the_person_can_be_taken_out_again(told):
     folder, _ = told
     _shell(COMMANDS[-1], folder)

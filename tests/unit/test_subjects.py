@@ -10,7 +10,13 @@ import pytest
 import yaml
 from real2sim.errors import InputError
 from real2sim.recording.formats import detect
-from real2sim.recording.subjects import discover, parse_trial, read_subject, require_operating_point
+from real2sim.recording.subjects import (
+    SYNTHETIC_NOTICE,
+    discover,
+    parse_trial,
+    read_subject,
+    require_operating_point,
+)
 
 VALUES = {
     "id": "S01",
@@ -126,6 +132,14 @@ def test_exclude_keeps_the_reason(tmp_path):
 def test_phantom_flag(tmp_path):
     person(tmp_path, phantom=True)
     assert discover(tmp_path)["S01"].phantom
+
+
+@pytest.mark.parametrize("file", ["dynamic_2.tsv", "walk_normal_1.mot"])
+def test_a_recording_that_says_that_it_is_synthetic_makes_a_phantom_of_whoever_holds_it(tmp_path, file):
+    folder = person(tmp_path)
+    assert not read_subject(folder).phantom
+    (folder / file).write_text(f"NO_OF_FRAMES\t2000\nDESCRIPTION\t{SYNTHETIC_NOTICE}\n")
+    assert read_subject(folder).phantom
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,7 @@ def test_the_tutorial_ends_where_it_says(told):
         assert (folder / name).exists(), name
     page = (folder / "results" / "report.html").read_text(encoding="utf-8")
     assert "P01" in page
+    assert "rests on synthetic people" in page, "the files are the phantom's, and say so"
     assert "needs at least 2 people, have 1" in page
     assert not (folder / "results" / "fits" / "S01").exists(), "the phantom steps aside"
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,9 @@ MARKER_SUFFIXES = (".tsv", ".c3d", ".mat")
 MARKERLESS_SUFFIXES = (".mot", ".sto", ".trc")
 LOG_SUFFIXES = (".mcap",)
 SUBJECT_FILE = "subject.yaml"
+# Stands in the head of each marker and markerless export that the phantom writes, wherever it is copied to
+SYNTHETIC_NOTICE = "PHANTOM: synthetic data of the phantom cohort, no real person"
+_HEAD_BYTES = 1024
 _KINDS = {
     "marker export": MARKER_SUFFIXES,
     "markerless export": MARKERLESS_SUFFIXES,
@@ -140,9 +143,22 @@ def discover(root: Path) -> dict[str, Subject]:
 
 
 def read_subject(folder: Path) -> Subject:
-    """One subject's folder, checked as `discover` does."""
+    """One subject's folder, checked as `discover` does; a phantom where `subject.yaml` or a recording says so."""
     folder = Path(folder)
-    return _subject(folder, subject_values(folder))
+    person = _subject(folder, subject_values(folder))
+    return replace(person, phantom=person.phantom or _any_synthetic(person.trials.values()))
+
+
+def _any_synthetic(trials: Iterable[TrialFiles]) -> bool:
+    """Return whether the head of some export of trials says that it is synthetic; unreadable files say nothing."""
+    for path in (path for files in trials for path in (files.markers, files.markerless)):
+        try:
+            with path.open("rb") as stream:
+                if SYNTHETIC_NOTICE.encode() in stream.read(_HEAD_BYTES):
+                    return True
+        except OSError:
+            continue
+    return False
 
 
 # -------------------- subject.yaml

@@ -16,12 +16,13 @@ from real2sim.recording.formats.opensim import write_coordinates
 from real2sim.recording.formats.qualisys import write_markers
 from real2sim.recording.formats.recordings import CoordinateRecording, MarkerRecording, RobotLog
 from real2sim.recording.formats.robot_log import write_log
+from real2sim.recording.subjects import SYNTHETIC_NOTICE
 from real2sim.verification.phantom.gait import foot_markers, leg_angles
 from real2sim.verification.phantom.motions import Motion
 from real2sim.verification.phantom.person import Person, active, stream
 from real2sim.verification.phantom.physics import ARM_JOINTS, PelvisPath, TruePaths
 
-NOTICE = "PHANTOM: synthetic data of the phantom cohort, no real person"
+NOTICE = SYNTHETIC_NOTICE
 
 # Coordinates of Rajagopal2016.osim in its order; legs and arms are given per side.
 _LEG = (

@@ -59,8 +59,9 @@ FIGURES = {
         "The gap of everyone",
         "Chi-squared per residual (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain "
         "model of strap and robot; diamond, the same with the diagnosed cause in it, open where it carries the misfit "
-        "mark: more than noise is left beside it; dashed, what noise alone leaves, 1. At the dashed line there is no "
-        "gap to explain, and the answer is none. In brackets: the sum of the probabilities of what is named.",
+        "mark: more than noise is left beside it; dashed, what noise alone leaves, 1 (less where the robot log is "
+        "quieter than any log is trusted to be). At the dashed line there is no gap to explain, and the answer is "
+        "none. In brackets: the sum of the probabilities of what is named.",
     ),
     "paper_gap": (
         "Causes beside the paper",

@@ -42,10 +42,10 @@ from real2sim.recording.trial import Trial, TrialModel, replay_of
 from real2sim.signals import lowpass
 from real2sim.study.assessment import assess_model
 from real2sim.system.plant import RestPose
-from real2sim.verification.phantom.cohort import FREE, robot_controller
-from real2sim.verification.phantom.cohort import _path_from_start as path_from_start
+from real2sim.verification.cohort.write import FREE
+from real2sim.verification.cohort.write import _path_from_start as path_from_start
 from real2sim.verification.phantom.person import draw_person
-from real2sim.verification.phantom.physics import Robot, StrapLaw, simulate
+from real2sim.verification.phantom.physics import Robot, StrapLaw, robot_controller, simulate
 from real2sim.verification.phantom.tasks import motion_of
 
 FLAT_SD_LN = 1.0

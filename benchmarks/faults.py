@@ -37,8 +37,8 @@ from real2sim.recording.quality.measure import Measured, RawTrial, find_exchange
 from real2sim.recording.quality.stage import note_copies, raw_trial, signatures_of
 from real2sim.recording.quality.verdict import Gate
 from real2sim.recording.subjects import read_subject
-from real2sim.verification.phantom.cohort import write_subject
-from real2sim.verification.phantom.plan import planned_files
+from real2sim.verification.cohort.plan import planned_files
+from real2sim.verification.cohort.write import write_subject
 from scipy.spatial.transform import Rotation
 from statsmodels.stats.proportion import proportion_confint
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from real2sim.configuration import validated
-from real2sim.verification.phantom.cohort import prepare, robot_controller
+from real2sim.verification.cohort.plan import read_settings
+from real2sim.verification.cohort.write import prepare
 from real2sim.verification.phantom.person import draw_person, stream
-from real2sim.verification.phantom.physics import Robot
-from real2sim.verification.phantom.plan import read_settings
+from real2sim.verification.phantom.physics import Robot, robot_controller
 from real2sim.verification.suite.forms import FORMS
 from real2sim.verification.suite.gaps import gaps
 from real2sim.verification.suite.plan import EFFECTS, Case

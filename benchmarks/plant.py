@@ -27,10 +27,10 @@ from real2sim.inference.parameters import as_vector
 from real2sim.signals import lowpass
 from real2sim.system.plant import RestPose
 from real2sim.system.replay import Replay, replay_check
-from real2sim.verification.phantom.cohort import simulate_subject
+from real2sim.verification.cohort.plan import read_settings
+from real2sim.verification.cohort.write import simulate_subject
 from real2sim.verification.phantom.exports import Trial
 from real2sim.verification.phantom.person import Person
-from real2sim.verification.phantom.plan import read_settings
 
 NOISE_M = 0.0005
 SIMULATIONS = 11

@@ -32,8 +32,8 @@ from real2sim.recording.ingest import ingest_subject
 from real2sim.study.fit import best_of, fit_trial
 from real2sim.study.limits import joint_limits
 from real2sim.study.step_study import step_study
-from real2sim.verification.phantom.cohort import write_subject
-from real2sim.verification.phantom.plan import planned_files
+from real2sim.verification.cohort.plan import planned_files
+from real2sim.verification.cohort.write import write_subject
 
 UNOBSERVED = ("k_ry", "d_ry")
 KEPT = [i for i, name in enumerate(PARAMETERS) if name not in UNOBSERVED]

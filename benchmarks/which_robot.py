@@ -27,10 +27,10 @@ from real2sim.configuration import read_yaml, validated
 from real2sim.files import write_text
 from real2sim.recording.ingest import ingest_subject
 from real2sim.study.diagnose import diagnose
+from real2sim.verification.cohort.plan import read_settings
+from real2sim.verification.cohort.write import simulate_subject, write_trials
 from real2sim.verification.paper_gap.people import as_wide_as
 from real2sim.verification.paper_gap.plan import TRIALS
-from real2sim.verification.phantom.cohort import simulate_subject, write_trials
-from real2sim.verification.phantom.plan import read_settings
 
 ROOT = Path(__file__).parents[1]
 ASSUMED, STUDY, HEAVIER = "assumed", "study", "study heavier"

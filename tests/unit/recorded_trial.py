@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from real2sim import geometry
 from real2sim.configuration import read_yaml, validated
 from real2sim.signals import lowpass
-from real2sim.verification.phantom.cohort import simulate_trial
+from real2sim.verification.cohort.write import simulate_trial
 from real2sim.verification.phantom.person import PARAMETER_NAMES, draw_person
 from real2sim.verification.phantom.tasks import motion_of
 

@@ -24,7 +24,7 @@ from real2sim.system.plant import (
     robot_pose_for,
 )
 from real2sim.system.replay import Replay, replay_check
-from real2sim.verification.phantom.cohort import simulate_trial
+from real2sim.verification.cohort.write import simulate_trial
 from real2sim.verification.phantom.person import draw_person
 from real2sim.verification.phantom.tasks import motion_of
 

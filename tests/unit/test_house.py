@@ -6,6 +6,7 @@ import ast
 import re
 from collections.abc import Iterator
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -159,6 +160,18 @@ def test_nothing_imports_the_proofs():
         if _room(other) == "verification"
     }
     assert against - EXCEPTIONS.keys() == set()
+
+
+def test_no_two_packages_of_the_proofs_need_each_other():
+    def package(name: str) -> str:
+        return name.split(".")[2]
+
+    names = [name for name in modules() if _room(name) == "verification" and name.count(".") > 1]
+    needs: dict[str, set[str]] = {}
+    for name in names:
+        others = imports(name, into_functions=True) & set(names)
+        needs.setdefault(package(name), set()).update({package(o) for o in others} - {package(name)})
+    assert list(TopologicalSorter(needs).static_order()), "a cycle is an error of the sorter"
 
 
 def test_every_exception_is_still_needed():

@@ -15,10 +15,10 @@ from real2sim.errors import InputError
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages.page import document
 from real2sim.pages.paper_gap import paper_gap_figure, told
+from real2sim.verification.cohort import plan as phantom_plan
 from real2sim.verification.paper_gap import people, ranking, summary
 from real2sim.verification.paper_gap.cohort import cohort_with_cause
 from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
-from real2sim.verification.phantom import plan as phantom_plan
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "resources" / "published"

@@ -13,7 +13,9 @@ import yaml
 from mcap.reader import make_reader
 from real2sim.recording.formats.qualisys import read_markers
 from real2sim.recording.formats.robot_log import read_log
-from real2sim.verification.phantom import cohort, exports, plan
+from real2sim.verification.cohort import plan
+from real2sim.verification.cohort import write as cohort
+from real2sim.verification.phantom import exports
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import PARAMETER_NAMES, draw_person
 from real2sim.verification.phantom.physics import StrapLaw, strap_wrench

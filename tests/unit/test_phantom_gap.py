@@ -9,7 +9,9 @@ import pytest
 import yaml
 from real2sim.configuration import validated
 from real2sim.errors import InputError
-from real2sim.verification.phantom import cohort, exports, plan
+from real2sim.verification.cohort import plan
+from real2sim.verification.cohort import write as cohort
+from real2sim.verification.phantom import exports
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources/robot/drba.xml"

@@ -19,7 +19,7 @@ from typing import Any, NoReturn, get_args, get_origin, get_type_hints, is_typed
 from real2sim import settings
 
 COMMANDS = {
-    "phantom": "real2sim.verification.phantom.cohort:write_subject",
+    "phantom": "real2sim.verification.cohort.write:write_subject",
     "suite-cases": "real2sim.verification.suite.write:write_cases",
     "ingest": "real2sim.recording.ingest:ingest_subject",
     "quality-subject": "real2sim.recording.quality.stage:quality_subject",

@@ -36,7 +36,7 @@ from real2sim.failures import FailedJobs, failures
 from real2sim.shell import braced
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
-from real2sim.verification.phantom.plan import planned_files, planned_subjects, read_settings
+from real2sim.verification.cohort.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import CODE, CODE_FILE, fingerprint
 from real2sim.recording.subjects import discover, require_operating_point

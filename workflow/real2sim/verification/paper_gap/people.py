@@ -21,9 +21,9 @@ from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.recording.ingest import ingest_subject
 from real2sim.study.fit import fit_trial
+from real2sim.verification.cohort.write import Simulated, simulate_subject, write_trials
 from real2sim.verification.paper_gap.plan import STUDY_ROBOT, TRIALS
 from real2sim.verification.paper_gap.recorder import Recorder
-from real2sim.verification.phantom.cohort import Simulated, simulate_subject, write_trials
 from real2sim.verification.suite.plan import EFFECTS
 
 if TYPE_CHECKING:

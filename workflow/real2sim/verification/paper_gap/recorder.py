@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from real2sim.verification.cohort.gap import trials_with
+from real2sim.verification.cohort.write import Simulated, prepared
 from real2sim.verification.paper_gap.plan import TRIALS
-from real2sim.verification.phantom.cohort import Simulated, prepared, robot_controller
-from real2sim.verification.phantom.gap import trials_with
 from real2sim.verification.phantom.person import stream
-from real2sim.verification.phantom.physics import Robot
+from real2sim.verification.phantom.physics import Robot, robot_controller
 from real2sim.verification.suite.forms import FORMS
 from real2sim.verification.suite.plan import Case
 from real2sim.verification.suite.synthetic import (

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from real2sim.verification.phantom.levels import tightness_levels
 from real2sim.verification.phantom.physics import AXES
-from real2sim.verification.phantom.plan import tightness_levels
 
 PARAMETER_NAMES = tuple(f"{kind}_{axis}" for kind in "kd" for axis in AXES)
 UNITS = dict(zip(PARAMETER_NAMES, ["N/m"] * 3 + ["Nm/rad"] * 3 + ["Ns/m"] * 3 + ["Nms/rad"] * 3, strict=True))

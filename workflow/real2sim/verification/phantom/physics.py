@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -150,6 +150,20 @@ class Controller:
     stiffness: np.ndarray
     damping: np.ndarray
     follow: dict[str, float] | None = None
+
+
+def robot_controller(
+    settings: dict[str, Any], controllers: dict[str, Any], kind: str, start: np.ndarray
+) -> Controller:
+    """Return a hold about the start pose (6,) [m, rad]; in walking the base follows the person forward."""
+    base = [controllers["hold"][key] for key in ("x", "y", "yaw")]
+    arm = [controllers["arm"][key] for key in ("lift", "roll", "pitch")]
+    stiffness = np.array([j["stiffness"] for j in base + arm], float)
+    damping = np.array([j["damping"] for j in base + arm], float)
+    # the arm's springs pull to zero, which is where it starts
+    rest = np.array([*start[:3], 0.0, 0.0, 0.0])
+    follow = settings["gait"]["follow"] if kind == "walk_robot" else None
+    return Controller(rest, stiffness, damping, follow)
 
 
 @dataclass

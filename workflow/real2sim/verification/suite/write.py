@@ -15,11 +15,10 @@ import yaml
 from real2sim.artefacts import write_json
 from real2sim.files import write_text
 from real2sim.verification.phantom import exports, tasks
-from real2sim.verification.phantom.cohort import robot_controller
 from real2sim.verification.phantom.exports import Trial
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import UNITS, Person, draw_person
-from real2sim.verification.phantom.physics import AXES, PelvisPath, Robot, TruePaths
+from real2sim.verification.phantom.physics import AXES, PelvisPath, Robot, TruePaths, robot_controller
 from real2sim.verification.suite import excitation
 from real2sim.verification.suite.effects import Draw
 from real2sim.verification.suite.forms import FORMS

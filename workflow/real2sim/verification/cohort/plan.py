@@ -8,6 +8,7 @@ from typing import Any
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.recording.subjects import Subject, TrialFiles
+from real2sim.verification.phantom.levels import tightness_levels
 from real2sim.verification.suite.plan import EFFECTS
 
 
@@ -64,12 +65,6 @@ def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def tightness_levels(person: dict[str, Any]) -> list[int]:
-    """Levels of the tightness sweep [cm], loosest first."""
-    t = person["tightness"]
-    return list(range(t["loosest_cm"], t["tightest_cm"] + 1))
-
-
 def trial_names(settings: dict[str, Any], subject: str) -> list[str]:
     """Trials of one person, in the order in which they are recorded."""
     levels, counts = tightness_levels(settings["cohort"][subject]), settings["trials"]
@@ -88,7 +83,7 @@ def has_log(trial: str) -> bool:
 
 
 def planned_files(settings: dict[str, Any], root: Path, subject: str) -> list[Path]:
-    """Every file that `cohort.write_subject` writes for one person, below ``root``."""
+    """Every file that `write.write_subject` writes for one person, below ``root``."""
     folder = root / subject
     files = [folder / "subject.yaml"]
     for trial in trial_names(settings, subject):

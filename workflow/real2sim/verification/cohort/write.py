@@ -12,21 +12,21 @@ import numpy as np
 import yaml
 
 from real2sim.files import write_text
+from real2sim.verification.cohort.gap import Gap
+from real2sim.verification.cohort.plan import has_log, planned_files, trial_names
 from real2sim.verification.phantom import exports
 from real2sim.verification.phantom.exports import Trial
-from real2sim.verification.phantom.gap import Gap
 from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import PARAMETER_NAMES, UNITS, Person, active, draw_person, stream
 from real2sim.verification.phantom.physics import (
     AXES,
-    Controller,
     PelvisPath,
     Robot,
     StrapLaw,
     TruePaths,
+    robot_controller,
     simulate,
 )
-from real2sim.verification.phantom.plan import has_log, planned_files, trial_names
 from real2sim.verification.phantom.tasks import motion_of
 
 FREE = np.full(6, np.inf)  # a strap without stops
@@ -174,20 +174,6 @@ def simulate_trial(
     )
     hands = robot_controller(settings, controllers, kind, start)
     return simulate(plant, [path], law, [hands], rate_hz)[0]
-
-
-def robot_controller(
-    settings: dict[str, Any], controllers: dict[str, Any], kind: str, start: np.ndarray
-) -> Controller:
-    """Return a hold about the start pose (6,) [m, rad]; in walking the base follows the person forward."""
-    base = [controllers["hold"][key] for key in ("x", "y", "yaw")]
-    arm = [controllers["arm"][key] for key in ("lift", "roll", "pitch")]
-    stiffness = np.array([j["stiffness"] for j in base + arm], float)
-    damping = np.array([j["damping"] for j in base + arm], float)
-    # the arm's springs pull to zero, which is where it starts
-    rest = np.array([*start[:3], 0.0, 0.0, 0.0])
-    follow = settings["gait"]["follow"] if kind == "walk_robot" else None
-    return Controller(rest, stiffness, damping, follow)
 
 
 def _place(settings: dict[str, Any], person: Person, trial: str) -> np.ndarray:

@@ -12,6 +12,7 @@ from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
 from real2sim.pages.diagnosis import answer_probability, answer_words, diagnosis_page, diagnosis_table
+from real2sim.pages.page import likely
 from real2sim.pages.style import PHANTOM_LABEL
 from real2sim.pages.suite import suite_page
 
@@ -513,3 +514,19 @@ def test_suite_page_of_an_empty_score_says_what_is_missing(tmp_path):
 def test_suite_page_refuses_a_matrix_that_does_not_fit_its_labels(tmp_path):
     with pytest.raises(InputError, match="one per label"):
         _suite(tmp_path, _score(confusion={"labels": ["slack", "none"], "counts": [[1, 2]]}))
+
+
+@pytest.mark.parametrize(
+    ("probability", "digits", "text"),
+    [
+        (1.0, 0, "100 %"),
+        (0.9999, 0, "over 99 %"),
+        (0.994, 0, "99 %"),
+        (0.9999, 1, "over 99.9 %"),
+        (0.987, 1, "98.7 %"),
+        (0.0003, 1, "under 0.1 %"),
+        (0.0, 1, "0.0 %"),
+    ],
+)
+def test_what_is_not_quite_certain_is_not_said_to_be(probability, digits, text):
+    assert likely(probability, digits) == text

@@ -23,6 +23,7 @@ from real2sim.pages.law import law_section, misfit_sentence
 from real2sim.pages.page import (
     bar,
     document,
+    likely,
     listed,
     page_style,
     paragraph,
@@ -356,7 +357,7 @@ def _hold(d: Mapping[str, Any]) -> str:
     if not _hangs_on_hold(d):
         return taken
     left, noise = (rounded(sum(other[key]), 3) for key in ("chi2_best", "chi2_expected"))
-    answer = f"{_listed(other['verdict_set'])} ({percent(other['probability'])})"
+    answer = f"{_listed(other['verdict_set'])} ({likely(other['probability'])})"
     return taken + (
         f"Had the robot been {_HELD[other['robot_holds']]} when the trials began, the answer would be {answer}, which "
         f"leaves {left} of chi-squared where noise leaves {noise}. If you know how it was, set diagnosis.robot_holds."
@@ -370,9 +371,9 @@ def _robot(d: Mapping[str, Any]) -> str:
         return ""
     rows = {row["name"]: row for row in machine["compared"]}
     first, rest = machine["name"], [name for name in rows if name != machine["name"]]
-    certain, least = machine["probability"], f"with a probability of {percent(machine['probability'])}"
+    certain, least = machine["probability"], f"with a probability of {likely(machine['probability'])}"
     if certain < _CLEARLY:
-        each = ", ".join(f"{_robot_words(name)} {percent(row['probability'])}" for name, row in rows.items())
+        each = ", ".join(f"{_robot_words(name)} {likely(row['probability'])}" for name, row in rows.items())
         verdict = f"These trials do not tell which robot held the strap ({each}); the answer is that with the first."
     elif first == CONFIGURED:
         verdict = f"The configured robot held the strap, {least}, and not {_listed(rest, 'or')}."
@@ -400,14 +401,14 @@ def _verdict(d: Mapping[str, Any]) -> str:
         return f"The plain model with another robot explains the gap; on {trial}, {_left(d, base, floor, after)}."
     if d["verdict"] == "none":
         return (
-            f"No cause is named: with a probability of {percent(p['none'])} the plain model is all that the data ask "
+            f"No cause is named: with a probability of {likely(p['none'])} the plain model is all that the data ask "
             f"for; on {trial} it costs J = {base}, and noise alone {floor} {_interval(d['noise_floor']['ci95'])}."
         )
     if d["verdict"] == "unknown":
         best = max((c["gap_closed"] for c in d["causes"] if c.get("gap_closed") is not None), default=None)
         tried = "" if best is None else f" and the best of the catalogue closes {percent(best)} of the gap"
         return (
-            f"The cause is unknown: with a probability of {percent(p['unknown'])} it is none that the catalogue holds; "
+            f"The cause is unknown: with a probability of {likely(p['unknown'])} it is none that the catalogue holds; "
             f"on {trial} the plain model costs J = {base} where noise alone costs {floor}{tried}."
         )
     names = _set(d)
@@ -595,7 +596,7 @@ def _which(d: Mapping[str, Any]) -> str:
 
 
 def _probability(p: float) -> str:
-    return f'<span class="nowrap">{bar(p)}{percent(p, 1)}</span>'
+    return f'<span class="nowrap">{bar(p)}{likely(p, 1)}</span>'
 
 
 def _cause_row(name: str, probability: float, cause: Mapping[str, Any] | None) -> list[str]:
@@ -641,7 +642,7 @@ def _card(cause: Mapping[str, Any], *, open_: bool) -> str:
     )
     return (
         f"<details{' open' if open_ else ''}><summary><strong>{escape(_sentence(name))}</strong> "
-        f"({escape(where)}, {percent(cause['probability'], 1)})</summary>\n"
+        f"({escape(where)}, {likely(cause['probability'], 1)})</summary>\n"
         f"<p>Equation: {escape(cause.get('equation', 'not written down'))}.{escape(together)}</p>\n{values}\n</details>"
     )
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from real2sim.artefacts import read_json
 from real2sim.pages import style
 from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_per_residual
-from real2sim.pages.page import percent
+from real2sim.pages.page import likely
 
 _KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")
 _ROW_IN, _FRAME_IN = 0.32, 1.0
@@ -61,7 +61,7 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     axes.set_xlim(left, right)
     style.log_axis(axes.xaxis, left, right)
     for (d, _), x, y in zip(shown, plain, place, strict=True):
-        text = f"{answer_words(d)} ({percent(answer_probability(d))})"
+        text = f"{answer_words(d)} ({likely(answer_probability(d))})"
         axes.annotate(text, (x, y), (8, 0), textcoords="offset points", va="center", fontsize=7)
     axes.set_yticks(place, [d["subject"] for d, _ in shown])
     axes.set_ylim(-0.6, len(shown) - 0.4)

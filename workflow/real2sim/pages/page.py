@@ -239,6 +239,16 @@ def percent(value: float | None, digits: int = 0) -> str:
     return "\N{EN DASH}" if value is None else f"{style.signed(100 * value, digits)} %"
 
 
+def likely(probability: float, digits: int = 0) -> str:
+    """A probability as a percentage: over 99 % for what is not quite certain, under 1 % for what is not impossible."""
+    step = 10.0**-digits
+    if 1 - step / 200 <= probability < 1:
+        return f"over {percent(1 - step / 100, digits)}"
+    if 0 < probability < step / 200:
+        return f"under {percent(step / 100, digits)}"
+    return percent(probability, digits)
+
+
 def rounded(value: float | None, digits: int = 3) -> str:
     """A number to ``digits`` figures without a power of ten where that reads well; a dash where there is none."""
     if value is None:

@@ -31,6 +31,7 @@ from real2sim.pages.page import (
     download,
     folded,
     inline,
+    likely,
     paragraph,
     percent,
     rounded,
@@ -1017,7 +1018,7 @@ def _answers_table(study: Study) -> str:
             [
                 escape(d["subject"]),
                 escape(answer_words(d)),
-                percent(answer_probability(d)),
+                likely(answer_probability(d)),
                 escape(str(where["stage"]) if shows_gap(d) else _DASH),
                 rounded(gap["J_base"]),
                 rounded(gap["J_floor"]),

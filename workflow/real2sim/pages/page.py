@@ -77,7 +77,7 @@ svg.plot text { font-family: system-ui, sans-serif !important }
 .scroll { overflow-x: auto; container-type: inline-size }
 table { border-collapse: collapse; font-size: 0.9rem; margin: 0.4rem 0; max-width: 100% }
 caption { text-align: left; color: var(--muted); padding-bottom: 0.3rem }
-caption span { display: inline-block; position: sticky; left: 0; max-width: min(46rem, 100cqw) }
+caption span { display: inline-block; width: max-content; position: sticky; left: 0; max-width: min(46rem, 100cqw) }
 th, td { padding: 0.25rem 0.7rem 0.25rem 0; border-bottom: 1px solid var(--line); text-align: left;
   vertical-align: top }
 th { font-weight: 600 }

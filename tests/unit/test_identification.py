@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, quaternion, rotation_xyz
 from real2sim.inference import least_squares
@@ -15,7 +17,7 @@ from real2sim.inference.cmaes import search
 from real2sim.inference.cost import FAILED_COST, CostScales, TrialCost
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
 from real2sim.recording.trial import load_trial
-from real2sim.study.fit import best_of, restart_seed
+from real2sim.study.fit import best_of, progress_of, restart_seed
 
 SCALES = CostScales(0.041, 0.080)
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
@@ -208,3 +210,17 @@ def test_a_search_that_fails_at_every_screened_point_has_a_history_of_numbers():
     assert len(found.history["best"]) == len(found.history["evaluations"]) > 0
     nothing = least_squares.search(lambda p: np.full((len(p), 12), np.nan), bounds, **options)
     assert not np.isfinite(nothing.cost)
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [("cma", "S01: 50/200 evaluations, J 1.5"), ("least_squares", "S01: 50 evaluations, J 1.5")],
+)
+def test_progress_counts_up_to_a_number_only_where_that_is_known(capsys, method, said):
+    ident = validated({"identification": {"method": method, "evaluations": 100}}, "config", Path("mine.yaml"))
+    progress = progress_of("S01", ident["identification"], 2)
+    progress._last -= 60
+    progress(50, 1.5)
+    written = capsys.readouterr().err
+    assert written.startswith(said)
+    assert ("s left" in written) == (method == "cma")

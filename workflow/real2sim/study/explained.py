@@ -19,7 +19,7 @@ from real2sim.provenance import fingerprint, provenance
 from real2sim.recording.quality.verdict import require
 from real2sim.recording.trial import TrialModel
 from real2sim.study.diagnosis_model import diagnosed_evidence, diagnosed_robot, effects_of
-from real2sim.study.fit import BATCH, Progress, outcome, restart_seed, search
+from real2sim.study.fit import BATCH, outcome, progress_of, restart_seed, search
 
 if TYPE_CHECKING:
     from real2sim.settings import IdentificationSettings
@@ -121,7 +121,7 @@ def fit_with_effects(
     model = causes.model(trial, limits, BATCH)
     label = f"{subject} {trial.name} with {', '.join(causes.names) or 'no cause'}"
     seeds = [restart_seed(ident["seed"], subject, trial.name, restart) for restart in restarts]
-    results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
+    results = search(model, bounds, ident, seeds, progress_of(label, ident, len(restarts)))
     used = diagnosed_robot(causes.answer, robot)
     source = provenance([diagnosis, limits, used], _PACKAGES, fingerprint(__name__))
     about = {"schema": 1, "subject": subject, "trial": trial.name, "restart": None, "method": ident["method"]}

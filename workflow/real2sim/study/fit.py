@@ -39,24 +39,23 @@ def restart_seed(seed: int, subject: str, trial: str, restart: int) -> int:
 
 
 class Progress:
-    """A line to stderr every few seconds: evaluations, cost and time left."""
+    """A line to stderr every few seconds: evaluations, cost, and time left where the ``total`` is known."""
 
-    def __init__(self, label: str, total: int, interval_s: float = 5.0):
+    def __init__(self, label: str, total: int | None, interval_s: float = 5.0):
         self._label, self._total, self._interval = label, total, interval_s
         self._start = self._last = time.monotonic()
 
     def __call__(self, done: int, best: float) -> None:
         """Say so many evaluations are done, if the last line is old enough, and the best cost so far."""
         now = time.monotonic()
-        if now - self._last < self._interval and done < self._total:
+        if now - self._last < self._interval and (self._total is None or done < self._total):
             return
         self._last = now
-        left = (now - self._start) * max(self._total - done, 0) / done
-        print(
-            f"{self._label}: {done}/{self._total} evaluations, J {best:.4g}, {left:.0f} s left",
-            file=sys.stderr,
-            flush=True,
-        )
+        of, left = "", ""
+        if self._total is not None:
+            of = f"/{self._total}"
+            left = f", {(now - self._start) * max(self._total - done, 0) / done:.0f} s left"
+        print(f"{self._label}: {done}{of} evaluations, J {best:.4g}{left}", file=sys.stderr, flush=True)
 
 
 def search(
@@ -97,6 +96,11 @@ def search(
             )
         )
     return results
+
+
+def progress_of(label: str, ident: IdentificationSettings, restarts: int) -> Progress:
+    """Return the progress of `search` with so many seeds; when least squares will have converged is not known."""
+    return Progress(label, ident["evaluations"] * restarts if ident["method"] == "cma" else None)
 
 
 def _batch_size(ident: IdentificationSettings, restarts: int) -> int:
@@ -155,7 +159,7 @@ def fit_trial(
     model = trial_model(**tables, robot=robot, settings=settings, nsim=batch, threads=threads)
     model.replay.check_bounds(bounds.upper[6:])
     label = f"{subject} {trial}" + (f", {len(restarts)} restarts" if len(restarts) > 1 else "")
-    results = search(model, bounds, ident, seeds, Progress(label, ident["evaluations"] * len(restarts)))
+    results = search(model, bounds, ident, seeds, progress_of(label, ident, len(restarts)))
     _require_a_replay(results, pose)
     source = provenance([pose, markers, limits, robot], _PACKAGES, fingerprint(__name__))
     about = {"schema": 1, "subject": subject, "trial": trial, "restart": None, "method": ident["method"]}

@@ -66,6 +66,7 @@ def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
     np.testing.assert_allclose(shown["IF_L"], true["IF_L"], atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_same_person_has_the_same_gap(simulated, tmp_path):
     settings, done = simulated
     again = _settings(tmp_path, {k: dict(v) for k, v in SHORT.items()})

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import Batch
 from real2sim.configuration import read_yaml, validated
 from real2sim.errors import InputError
 from real2sim.geometry import rotation_xyz
@@ -273,3 +274,22 @@ def test_a_simulation_that_diverges_says_nothing_and_leaves_no_file(capfd, tmp_p
     shown = capfd.readouterr().err
     assert shown.startswith("MuJoCo: Too many contacts. Time = 0.1.")
     assert shown.count("Too many contacts") == 1
+
+
+def test_constraints_are_divided_into_islands_only_where_there_can_be_several():
+    def model(bodies: int) -> mujoco.MjModel:
+        body = '<body pos="{} 0 0.1"><freejoint/><geom size="0.1" mass="1"/></body>'
+        inside = "".join(body.format(i) for i in range(bodies))
+        return mujoco.MjModel.from_xml_string(
+            f'<mujoco><worldbody><geom type="plane" size="9 9 1"/>{inside}</worldbody></mujoco>'
+        )
+
+    paths = {}
+    for bodies, divided in ((1, False), (2, True)):
+        own, as_made = model(bodies), model(bodies)
+        batch, plain = untimed_batch(own, 1, 1), Batch(as_made, 1, 1, False)
+        assert bool(own.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND) is not divided
+        for one in (batch, plain):
+            one.step(nstep=50)
+        paths[bodies] = [np.array(one.bind("qpos")) for one in (batch, plain)]
+    assert all(np.array_equal(*both) for both in paths.values())

@@ -22,7 +22,12 @@ def untimed_batch(model: mujoco.MjModel, nsim: int, threads: int, persistent: bo
     ``MjData.timer`` stays zero from then on in the whole process, and callbacks that others have set are taken away.
     A search tries values that no simulation bears, and what diverged is NaN to it: MuJoCo's line on each of them, on
     the screen and in a MUJOCO_LOG.TXT wherever the user happens to be, is not written. Other warnings go to stderr.
+
+    The constraints of a model of one kinematic tree are not divided into islands: there is one at most, and looking for
+    it takes 7 % of a step of the walking person (`benchmarks/islands.py`). The results are the same bits.
     """
+    if model.ntree == 1:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     mujoco.mj_resetCallbacks()
     mujoco.set_mju_user_warning(_warn)
     return Batch(model, nsim, threads, persistent)

@@ -1,0 +1,77 @@
+"""Time of a step with and without MuJoCo's division of constraints into islands, and whether the results are equal.
+
+python benchmarks/islands.py [--repeats 30]
+
+A walking person on the floor, whose model is one kinematic tree: 64 people, six steps in turn with either setting.
+Prints the median of each and of their ratio, and the largest difference of a coordinate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import os
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT / "workflow"), str(ROOT / "benchmarks")]
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from real2sim.configuration import read_yaml, validated
+from real2sim.study.twin.env import ACTIONS, WalkEnv
+from twin import BODIES, reference_of
+
+ISLAND = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+PEOPLE, SUBSTEPS = 64, 6
+
+
+def batch_of(model: mujoco.MjModel, env: WalkEnv, *, islands: bool) -> Batch:
+    """People at the start of a walk, the same with either setting."""
+    own = copy.copy(model)
+    own.opt.disableflags = (
+        int(own.opt.disableflags) & ~ISLAND if islands else int(own.opt.disableflags) | ISLAND
+    )
+    batch = Batch(own, PEOPLE, 1, False)
+    batch.bind("qpos")[:], batch.bind("qvel")[:] = env.batch.bind("qpos"), env.batch.bind("qvel")
+    return batch
+
+
+def main() -> None:
+    """Print the times and the difference."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--repeats", type=int, default=30)
+    args = parser.parse_args()
+    config = ROOT / "config"
+    study = validated(read_yaml(config / "config.yaml"), "config", config / "config.yaml")
+    phantom = read_yaml(config / "phantom.yaml")
+    who, twin = BODIES[1.75], study["twin"]
+    reference = reference_of(who, study, phantom)
+    # it gives the commands, and has taken MuJoCo's clock away
+    env = WalkEnv(who, twin["human"], reference, twin["training"], nsim=PEOPLE, threads=1, seed=1)
+    env.reset(np.arange(PEOPLE))
+    batches = [batch_of(env.model, env, islands=islands) for islands in (True, False)]
+    spent = np.empty((args.repeats, 2))
+    for row in spent:
+        command = env.command(np.zeros((PEOPLE, ACTIONS)))
+        for i, batch in enumerate(batches):
+            batch.bind("ctrl")[:] = command
+            start = time.process_time()
+            batch.step(nstep=SUBSTEPS)
+            row[i] = time.process_time() - start
+        env.advance()
+    per_step = 1e6 * np.median(spent, axis=0) / (PEOPLE * SUBSTEPS)
+    ratio = np.median(spent[:, 1] / spent[:, 0])
+    off = np.abs(batches[0].bind("qpos") - batches[1].bind("qpos")).max()
+    print(f"with islands {per_step[0]:.1f} us a step, without {per_step[1]:.1f} us; ratio {ratio:.3f}")
+    print(f"largest difference of a coordinate after {args.repeats * SUBSTEPS} steps: {off:g}")
+
+
+if __name__ == "__main__":
+    main()

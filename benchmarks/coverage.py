@@ -204,7 +204,7 @@ def wilson(hits: int, n: int) -> tuple[float, float]:
 
 
 def holds(row: dict, name: str) -> bool:
-    """Whether an interval holds the truth; a side without an end reaches to the bound."""
+    """Return whether an interval holds the truth; a side without an end reaches to the bound."""
     low, high = row["fit"][name]["ci95"]
     return (low is None or low <= row["truth"][name]) and (high is None or row["truth"][name] <= high)
 
@@ -215,7 +215,7 @@ def share(hits: int, n: int) -> dict:
 
 
 def coverage_of(cases: list[tuple[dict, str]]) -> dict:
-    """How often the intervals of (row, parameter) hold the truth."""
+    """Share of the intervals of (row, parameter) that hold the truth, as `share` gives it."""
     return share(sum(holds(row, name) for row, name in cases), len(cases))
 
 

@@ -29,7 +29,7 @@ from twin import BODIES, reference_of
 
 ISLAND = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 MIDPHASE = int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-SETTINGS = {"with both": 0, "no islands": ISLAND, "no midphase": ISLAND | MIDPHASE}
+SETTINGS = {"with both": 0, "no islands": ISLAND, "neither": ISLAND | MIDPHASE}
 PEOPLE, SUBSTEPS = 64, 6
 
 

@@ -32,7 +32,7 @@ def squares(evidence: StrapEvidence, whitened: np.ndarray) -> np.ndarray:
 
 
 def left_of(subject: str, results: Path, trial: str) -> tuple[np.ndarray, np.ndarray]:
-    """What the diagnosed model and what noise leave per residual, (c,) each."""
+    """Mean square (c,) by channel of what the diagnosed model leaves, and of what noise leaves."""
     file = results / "diagnosis" / subject / "diagnosis.json"
     answer = read_json(file, ("train", "held_out", "robot_holds", "model", "parameters", "settings"))
     tables, robot = results / "trials" / subject, ROOT / "resources" / "robot" / "drba.xml"

@@ -530,3 +530,10 @@ def test_suite_page_refuses_a_matrix_that_does_not_fit_its_labels(tmp_path):
 )
 def test_what_is_not_quite_certain_is_not_said_to_be(probability, digits, text):
     assert likely(probability, digits) == text
+
+
+def test_nothing_on_a_page_is_certain_that_is_not(tmp_path):
+    others = dict.fromkeys(("soft_tissue", "tilt", "none", "unknown"), 1e-5)
+    text = _page(tmp_path, _diagnosis(probabilities={"slack": 1 - 4e-5} | others)).text
+    assert "with a probability of over 99 %" in text
+    assert "over 99.9 %" in text

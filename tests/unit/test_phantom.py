@@ -13,6 +13,7 @@ import yaml
 from mcap.reader import make_reader
 from real2sim.recording.formats.qualisys import read_markers
 from real2sim.recording.formats.robot_log import read_log
+from real2sim.recording.subjects import SYNTHETIC_NOTICE, discover, read_subject
 from real2sim.verification.cohort import plan
 from real2sim.verification.cohort import write as cohort
 from real2sim.verification.phantom import exports
@@ -241,8 +242,6 @@ def write(settings, folder):
 
 
 def test_writes_exactly_what_is_planned_twice_the_same(settings, tmp_path):
-    from real2sim.recording.subjects import discover
-
     settings = small(settings)
     out, truth = write(settings, tmp_path / "a")
     again, truth_again = write(settings, tmp_path / "b")
@@ -259,9 +258,14 @@ def test_writes_exactly_what_is_planned_twice_the_same(settings, tmp_path):
     assert "PHANTOM" in (tmp_path / "a/raw/S01/neutral.tsv").read_text().splitlines()[6]
     assert "PHANTOM" in (tmp_path / "a/raw/S01/neutral.mot").read_text().splitlines()[0]
     with (tmp_path / "a/raw/S01/dynamic_1.mcap").open("rb") as stream:
-        assert [r.metadata for r in make_reader(stream).iter_metadata()] == [{"notice": exports.NOTICE}]
+        assert [r.metadata for r in make_reader(stream).iter_metadata()] == [{"notice": SYNTHETIC_NOTICE}]
     log = read_log(tmp_path / "a/raw/S01/dynamic_1.mcap")
     assert log.sync_s == pytest.approx([-sealed["trials"]["dynamic_1"]["clocks"]["robot_start_s"]])
+    # whoever copies the recordings beside a subject.yaml of their own is told by the recordings
+    about = tmp_path / "a/raw/S01/subject.yaml"
+    about.write_text(about.read_text().replace("phantom: true\n", ""))
+    assert "phantom:" not in about.read_text()
+    assert read_subject(about.parent).phantom
 
 
 def test_refuses_files_that_are_not_planned(settings, tmp_path):

@@ -412,7 +412,7 @@ def _verdict(d: Mapping[str, Any]) -> str:
             f"on {trial} the plain model costs J = {base} where noise alone costs {floor}{tried}."
         )
     names = _set(d)
-    each = " and ".join(percent(p[name]) for name in names)
+    each = " and ".join(likely(p[name]) for name in names)
     if len(names) == 1:
         claim = f"{_sentence(_words(names[0]))} causes the gap with a probability of {each}"
     else:
@@ -468,12 +468,12 @@ def _bars(axes: Axes, rows: Mapping[str, float], title: str) -> None:
     axes.barh(range(len(names)), shares, color=style.BLUE, height=0.65)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
-    axes.set_xlim(0, 1.18)
+    axes.set_xlim(0, 1.3)
     axes.set_xticks([])
     axes.spines["bottom"].set_visible(False)
     axes.tick_params(length=0)
     for i, share in enumerate(shares):
-        axes.text(share + 0.015, i, percent(share), va="center")
+        axes.text(share + 0.015, i, likely(share), va="center")
     axes.set_title(title, loc="left")
 
 
@@ -505,7 +505,7 @@ def _panels(d: Mapping[str, Any], groups: Mapping[str, Mapping[str, float]], nam
         for axes, (title, rows) in zip(panels, groups.items(), strict=True):
             _bars(axes, rows, title)
         top = "; ".join(
-            f"{title}: {max(rows, key=lambda k: rows[k])} {percent(max(rows.values()))}"
+            f"{title}: {max(rows, key=lambda k: rows[k])} {likely(max(rows.values()))}"
             for title, rows in groups.items()
         )
         return picture(figure, name, f"Bars of shares. Largest by group. {top}.", caption)
@@ -533,7 +533,7 @@ def _where(d: Mapping[str, Any]) -> str:
     place, regime = _groups(d)
     text = _place(d)
     rows = [
-        [escape(key), escape(title), percent(share, 1)]
+        [escape(key), escape(title), likely(share, 1)]
         for title, group in (place | regime).items()
         for key, share in group.items()
     ]

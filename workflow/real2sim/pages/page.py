@@ -240,7 +240,7 @@ def percent(value: float | None, digits: int = 0) -> str:
 
 
 def likely(probability: float, digits: int = 0) -> str:
-    """A probability as a percentage: over 99 % for what is not quite certain, under 1 % for what is not impossible."""
+    """A probability or share as a percentage: over 99 % for what is not quite all, under 1 % for more than none."""
     step = 10.0**-digits
     if 1 - step / 200 <= probability < 1:
         return f"over {percent(1 - step / 100, digits)}"

@@ -392,7 +392,7 @@ def human_spec(who: Body, settings: TwinHumanSettings) -> mujoco.MjSpec:
     spec.option.timestep = settings["timestep_s"]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    # five spheres under a foot are tried one by one in less time than a tree of them is searched (4 % of a step)
+    # five spheres under a foot are tried one by one in less time than a tree of them is searched (3 to 4 % of a step)
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     add_floor(spec)
     pelvis = spec.worldbody.add_body(name="pelvis", pos=[0, 0, who.hip_height])

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from real2sim.files import write_text
+from real2sim.recording.subjects import SYNTHETIC_NOTICE
 from real2sim.verification.cohort.gap import Gap
 from real2sim.verification.cohort.plan import has_log, planned_files, trial_names
 from real2sim.verification.phantom import exports
@@ -245,7 +246,7 @@ def _reached(paths: TruePaths) -> dict[str, Any]:
 
 def _subject_yaml(person: Person) -> str:
     facts = {"id": person.name, "phantom": True, **person.facts}
-    head = f"# {exports.NOTICE}\n"
+    head = f"# {SYNTHETIC_NOTICE}\n"
     return head + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
 
 

@@ -22,8 +22,6 @@ from real2sim.verification.phantom.motions import Motion
 from real2sim.verification.phantom.person import Person, active, stream
 from real2sim.verification.phantom.physics import ARM_JOINTS, PelvisPath, TruePaths
 
-NOTICE = SYNTHETIC_NOTICE
-
 # Coordinates of Rajagopal2016.osim in its order; legs and arms are given per side.
 _LEG = (
     "hip_flexion",
@@ -157,7 +155,7 @@ def write_trial_markers(
     gaps = _gaps(settings, trial.kind, list(positions), t[-1], rng)
     for marker, start, end in gaps:
         positions[marker][(t >= start) & (t < end)] = np.nan
-    write_markers(path, MarkerRecording(t, float(rate), positions), description=NOTICE)
+    write_markers(path, MarkerRecording(t, float(rate), positions), description=SYNTHETIC_NOTICE)
     return {"gaps": [{"marker": m, "start_s": s, "end_s": e} for m, s, e in gaps]}
 
 
@@ -218,7 +216,7 @@ def write_trial_coordinates(
     own = np.arange(int((trial.motion.duration_s - start) * rate)) / rate
     columns = coordinates(settings, person, trial, start + own / (1 + drift))
     _add_markerless_noise(settings, person, trial, columns, rate)
-    write_coordinates(path, CoordinateRecording(own, columns), name=f"Coordinates - {NOTICE}")
+    write_coordinates(path, CoordinateRecording(own, columns), name=f"Coordinates - {SYNTHETIC_NOTICE}")
 
 
 def coordinates(
@@ -322,7 +320,7 @@ def write_trial_log(
         wrench=wrench,
         sync_s=np.array([-start]),
     )
-    write_log(path, log, metadata={"notice": NOTICE})
+    write_log(path, log, metadata={"notice": SYNTHETIC_NOTICE})
 
 
 def _odometry(

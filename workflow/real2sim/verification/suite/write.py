@@ -14,6 +14,7 @@ import yaml
 
 from real2sim.artefacts import write_json
 from real2sim.files import write_text
+from real2sim.recording.subjects import SYNTHETIC_NOTICE
 from real2sim.verification.phantom import exports, tasks
 from real2sim.verification.phantom.exports import Trial
 from real2sim.verification.phantom.motions import Motion, pelvis_path
@@ -380,7 +381,7 @@ def _write(p: Synthetic, true: dict[str, _Measured], folder: Path, home: np.ndar
         exports.write_trial_log(stem.with_suffix(".mcap"), settings, person, trial, clocks, home)
         notes[trial_name] |= {"clocks": clocks, "q_max": np.abs(paths.q).max(axis=0).tolist()}
     facts = {"id": person.name, "phantom": True, **person.facts}
-    text = f"# {exports.NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
+    text = f"# {SYNTHETIC_NOTICE}\n" + yaml.safe_dump(facts, sort_keys=False, default_flow_style=False)
     write_text(folder / "subject.yaml", text)
     dynamic = [true[t].paths for t in (TRAIN, HELD_OUT)]
     return _truth(p, notes, None if p.left is None else regimes(p.left, *dynamic), dynamic)

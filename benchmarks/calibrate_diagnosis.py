@@ -23,6 +23,7 @@ import numpy as np
 import yaml
 from real2sim.artefacts import read_json
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, Decision, decide
+from real2sim.diagnosis.sensors import pooled
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.verification.score_laws import AS_MUCH, STRATA, accepted
 from scipy.optimize import minimize
@@ -98,23 +99,37 @@ class Example:
         return decision.verdict == (self.names or (NONE,))[0], said
 
 
-def _candidate(row: dict[str, Any]) -> Candidate:
+def _sensors(left: list[list[float]], gap: dict[str, Any]) -> tuple[tuple[float, float, bool], ...]:
+    """Sensors of a candidate, see there, of chi-squared by trial and sensor."""
+    about = gap["by_sensor"]
+    return tuple(zip(pooled(left), pooled(about["chi2_expected"]), about["on_floor"], strict=True))
+
+
+def _candidate(row: dict[str, Any], gap: dict[str, Any], together: bool) -> Candidate:
+    sensors = () if together else _sensors(row["chi2_by_sensor"], gap)
     if not row["effects"]:
-        return Candidate(tuple(row["places"]), tuple(row["chi2"]), row["occam"], unlisted=True)
+        return Candidate(
+            tuple(row["places"]), tuple(row["chi2"]), row["occam"], unlisted=True, sensors=sensors
+        )
     places = tuple(tuple(key for key in row["places"] if key.split()[0] == name) for name in row["effects"])
     ambiguous = any(
         key.split()[0] == name and key.endswith(form) for key in row["places"] for name, form in _AMBIGUOUS
     )
     return Candidate(
-        tuple(row["effects"]), tuple(row["chi2"]), row["occam"], ambiguous=ambiguous, places=places
+        tuple(row["effects"]),
+        tuple(row["chi2"]),
+        row["occam"],
+        ambiguous=ambiguous,
+        places=places,
+        sensors=sensors,
     )
 
 
 _AMBIGUOUS = [(effect.name, effect.form) for effect in EFFECTS if effect.indistinguishable]
 
 
-def examples(folder: Path) -> list[Example]:
-    """Cases of a suite that has been answered."""
+def examples(folder: Path, together: bool = False) -> list[Example]:
+    """Cases of a suite that has been answered; ``together``: all sensors are taken as one."""
     known = {yaml.safe_load(path.read_text())["name"]: path for path in (ROOT / "config").glob("suite*.yaml")}
     if folder.name not in DEVELOPMENT and folder.name in known:
         sys.exit(f"{folder}: {known[folder.name].name} is a suite that is scored. Calibrate on another one.")
@@ -124,9 +139,10 @@ def examples(folder: Path) -> list[Example]:
     out = []
     for path in sorted((folder / "cases").glob("*/diagnosis.json")):
         answer = read_json(path, ("considered", "gap"))
-        sets = [_candidate(row) for row in answer["considered"]]
         gap = answer["gap"]
-        plain = Candidate((), tuple(gap["chi2_plain"]))
+        sets = [_candidate(row, gap, together) for row in answer["considered"]]
+        sensors = () if together else _sensors(gap["by_sensor"]["chi2_plain"], gap)
+        plain = Candidate((), tuple(gap["chi2_plain"]), sensors=sensors)
         out.append(Example(sealed[answer["subject"]], plain, sets, tuple(gap["chi2_expected"])))
     return out
 
@@ -180,9 +196,10 @@ def main() -> None:
     parser.add_argument("--null-weight", type=float, default=3.0)
     parser.add_argument("--folds", type=int, default=4)
     parser.add_argument("--keep", action="store_true", help="only show the present constants")
+    parser.add_argument("--together", action="store_true", help="take all sensors as one, for comparison")
     parser.add_argument("--wrong", action="store_true", help="list the cases that are wrong")
     args = parser.parse_args()
-    rows = [row for folder in args.suites for row in examples(folder)]
+    rows = [row for folder in args.suites for row in examples(folder, args.together)]
     config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
     present = config["diagnosis"]["calibration"]
     start = np.log([present[key] for key in FITTED])

@@ -111,7 +111,8 @@ def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, first,
 def test_a_trial_that_nothing_explains_is_not_explained_by_fits_to_the_other(left, explained):
     plain = Hypothesis((), np.zeros(12), (102_880.0, 90_000.0))
     sets = [Hypothesis((), np.zeros(12), (left, 80_000.0))]
-    found = Found(None, Attribution(plain, sets, [], (2880, 2880), None))
+    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
+    found = Found(pair, Attribution(plain, sets, [], (2880, 2880), None))
     assert trials_module.explains_fitted(found, CONFIG["diagnosis"]) is explained
 
 
@@ -126,14 +127,20 @@ def test_a_trial_that_nothing_explains_is_not_explained_by_fits_to_the_other(lef
     ],
 )
 def test_the_trial_that_alone_shows_a_gap_is_the_one_to_fit(monkeypatch, left, exchanged):
-    pair = Pair(*(SimpleNamespace(samples=2880, left=x) for x in left), system=None)
+    pair = Pair(
+        *(
+            SimpleNamespace(samples=2880, sensors={"markers": 12}, noise_by_sensor=(2880.0,), left=x)
+            for x in left
+        ),
+        system=None,
+    )
 
     class Given:
         def __init__(self, evidence, effects, system):
             self.left = evidence.left
 
         def judged(self, z):
-            return self.left, 1.0
+            return (self.left,), 1.0
 
     monkeypatch.setattr(trials_module, "JointResiduals", Given)
     assert is_shown_by_held_out_alone(pair, np.zeros(12), CONFIG["diagnosis"]) is exchanged
@@ -165,6 +172,7 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     left = {("sync_offset", ""): 2883.0, ("filter_lag", ""): 2880.0, ("filter_lag", "first_order"): 2880.5}
     found = [Hypothesis((places[key],), np.zeros(13), (2880.0, chi2)) for key, chi2 in left.items()]
     attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
+    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
     refitted = []
 
     def finish(pair, hypothesis, settings):
@@ -172,7 +180,7 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
         return hypothesis
 
     monkeypatch.setattr("real2sim.diagnosis.trials.finished", finish)
-    decision = conclude(Found(None, attribution), CONFIG["diagnosis"])
+    decision = conclude(Found(pair, attribution), CONFIG["diagnosis"])
     assert decision.verdict == "filter_lag"
     assert int(np.argmax(decision.sets)) == 0
     assert refitted == ["filter_lag"]

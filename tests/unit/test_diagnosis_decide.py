@@ -196,11 +196,11 @@ def test_a_set_shares_its_probability_by_what_each_effect_earns():
 
 def test_a_gap_that_no_law_could_earn_its_place_with_leaves_none_unquestioned():
     samples, least = (2880, 2880), 0.05
-    assert is_out_of_reach((2800.0, 2800.0), samples, least, CALIBRATION)
-    assert not is_out_of_reach((3300.0, 3300.0), samples, least, CALIBRATION)
+    assert is_out_of_reach(-160.0, sum(samples), least, CALIBRATION)
+    assert not is_out_of_reach(840.0, sum(samples), least, CALIBRATION)
     # nor would the decision name a law that explained so little, all of it
     for left in ((2800.0, 2800.0), (2750.0, 2850.0)):
-        assert is_out_of_reach(left, samples, least, CALIBRATION)
+        assert is_out_of_reach(sum(left) - sum(samples), sum(samples), least, CALIBRATION)
         law = Candidate(("coulomb",), (2880.0, 2880.0))
         assert decide(Candidate((), left), [law], samples, CALIBRATION).probabilities["coulomb"] < least
 

@@ -146,7 +146,12 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
         def as_settled(self):
             return Trial(**(vars(self) | {"settled": True}))
 
-    items = [Trial(samples=2880, settled=False, noise=np.zeros(3)) for _ in range(2)]
+    items = [
+        Trial(
+            samples=2880, sensors={"markers": 12}, noise_by_sensor=(2880.0,), settled=False, noise=np.zeros(3)
+        )
+        for _ in range(2)
+    ]
     pair = Pair(*items, system=None)
 
     def fit(self, effects, start):
@@ -177,7 +182,9 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
     def search_pair(trials, *, settled=False, complete=None):
         chi2 = (left if settled else 4000.0,) * 2
         found = Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880), None)
-        return trials_module.Found(SimpleNamespace(train=SimpleNamespace(settled=settled)), found)
+        train = SimpleNamespace(settled=settled)
+        pair = SimpleNamespace(train=train, samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
+        return trials_module.Found(pair, found)
 
     trials_module = trials
     monkeypatch.setattr(trials, "search_pair", search_pair)

@@ -186,7 +186,9 @@ def test_a_constant_that_nobody_knows_costs_what_one_number_does():
     assert wave == pytest.approx((sure.whiten(slow[1:]) ** 2).sum(), rel=0.05)
     # drawn through an effect, what nobody knows counts as it does here
     left = seen.noise_through([], np.ones(12), [], 31, 1)
-    assert left.mean() == pytest.approx(seen.samples, rel=0.03)
+    assert left.sum(axis=1).mean() == pytest.approx(seen.samples, rel=0.03)
+    assert left.mean(axis=0) == pytest.approx(seen.samples / 2, rel=0.05), "of markers and of the log"
+    assert sum(seen.noise_by_sensor) == pytest.approx(seen.samples, rel=0.03)
 
 
 _BODIES = {

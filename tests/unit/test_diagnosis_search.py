@@ -54,6 +54,8 @@ class _Stuck(Search):
     """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
     samples = (2880, 2880)
+    samples_by_sensor = ((2880,), (2880,))
+    floored = (False,)
 
     def __init__(self, start: float = 0.01, cost: float = FAILED):
         self.asked = []
@@ -143,11 +145,11 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     friction = placed_whole("coulomb")
 
     class Trial:
-        samples = 2880
+        samples, sensors, noise_by_sensor = 2880, {"markers": 12}, (2880.0,)
 
         def noise_through(self, effects, parameters, x, draws, seed):
             assert [p.key for p in effects] == [friction.key]
-            return np.linspace(5000.0, 7000.0, draws)
+            return np.linspace(5000.0, 7000.0, draws)[:, None]
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
@@ -561,7 +563,7 @@ def test_a_fit_whose_slopes_cannot_be_simulated_explains_nothing(monkeypatch):
         free=np.arange(0),
         evaluations=0,
         occam_of=lambda z, slopes: -np.inf,
-        judged=lambda z: (1.0, 1.0),
+        judged=lambda z: ((1.0,), 1.0),
     )
     monkeypatch.setattr("real2sim.diagnosis.search.refit", lambda residuals, start, **options: (start, 0.0))
     monkeypatch.setattr("real2sim.diagnosis.search.JointResiduals", lambda *given, **options: fake)

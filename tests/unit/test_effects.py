@@ -199,7 +199,7 @@ class Recorded:
     def __init__(self, late: float, held_out: bool):
         self.held_out = held_out
         self.seen = replay([placed_whole("sync_offset")]).run_effects(PRIOR[None], [np.array([[late]])])[0]
-        self.samples = self.seen.size
+        self.samples, self.sensors = self.seen.size, {"markers": 6}
 
     def replay(self, effects, nsim, coarse=False):
         model = replay(effects, nsim)

@@ -31,7 +31,9 @@ def pair(monkeypatch):
 
     def trial(rows: int, scale: float = 1.0):
         matrix = scale * rng.standard_normal((rows, 3))
-        return SimpleNamespace(matrix=matrix, measured=rng.standard_normal(rows), samples=rows)
+        return SimpleNamespace(
+            matrix=matrix, measured=rng.standard_normal(rows), samples=rows, sensors={"outputs": 1}
+        )
 
     monkeypatch.setattr(further, "JointResiduals", Linear)
     return SimpleNamespace(train=trial(8), held_out=trial(6), system=None), trial

@@ -138,8 +138,10 @@ def test_a_machine_explains_simply_with_one_effect_or_none(monkeypatch, named, l
 def _machine(name: str, deviance: float, chi2: float) -> Machine:
     plain = Hypothesis((), np.zeros(12), (chi2, chi2))
     found = SimpleNamespace(attribution=SimpleNamespace(plain=plain, hypotheses=[]))
-    trial = SimpleNamespace(samples=1000)
-    pair = SimpleNamespace(train=trial, held_out=trial)
+    trial = SimpleNamespace(samples=1000, sensors={"markers": 12})
+    pair = SimpleNamespace(
+        train=trial, held_out=trial, samples_by_sensor=((1000,), (1000,)), floored=lambda sd: (False,)
+    )
     return Machine(name, ("a", "b"), pair, plain, deviance, SimpleNamespace(found=found))
 
 

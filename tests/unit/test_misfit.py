@@ -89,6 +89,8 @@ def test_the_page_says_what_is_left_and_of_what_kind():
     assert "closes 99 % of the gap, and is not all" in text
     assert "71" in text
     assert "12 N (RMS) along ty that depends on q_ty (elastic)" in text
+    told = {"marked": True, "left_sd": [30.1, 71.2], "sensor": "robot log", "left_share": 0.01, "law": law}
+    assert "are left, most of it in the robot log: 12 N" in misfit_sentence(told)
     assert misfit_sentence({"marked": False, "left_sd": [0.1, 0.2], "left_share": 0.0, "law": None}) == ""
     assert misfit_sentence(None) == ""
 
@@ -106,18 +108,18 @@ def test_the_score_counts_marks_of_what_is_named_rightly():
 
 
 def test_noise_that_an_effect_passes_on_is_not_left_by_it():
-    from real2sim.diagnosis.search import _beyond
+    from real2sim.diagnosis.search import _excess
 
     draws = np.random.default_rng(1).normal(1500, 60, 200)
-    assert _beyond(1520.0, 1000.0, draws) < 1
-    assert _beyond(1520.0, 1000.0, None) > 10
-    assert _beyond(1520.0, 1000.0, np.full(5, np.nan)) > 10
+    alone = ([1520.0], [1000], [False])
+    assert _excess(*alone, draws[:, None]) < 1
+    assert _excess(*alone, None) > 10
+    assert _excess(*alone, np.full((5, 1), np.nan)) > 10
 
 
 def test_laws_compete_as_far_as_the_named_set_is_not_nearly_everything():
     settings = CONFIG["diagnosis"]["search"]
-    named = Hypothesis((), np.zeros(12), (3000.0, 3000.0))
-    assert _reach(named, settings["nearly_all"], (2880, 2880), settings) == np.inf
-    left = 6000 - 5760
+    left = 6000.0 - 5760
+    assert _reach(left, settings["nearly_all"], 5760, settings) == np.inf
     reach = 5760 + settings["far_behind"] * left + settings["out_of_reach"]
-    assert _reach(named, 0.01, (2880, 2880), settings) == reach
+    assert _reach(left, 0.01, 5760, settings) == reach

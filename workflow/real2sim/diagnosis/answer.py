@@ -391,6 +391,15 @@ class _Account:
             "chi2_plain": list(self._before.chi2),
             "chi2_best": list(self._best.chi2),
             "chi2_expected": list(self._attribution.samples),
+            "by_sensor": {
+                "sensors": list(self._pair.train.sensors),
+                "on_floor": list(
+                    self._pair.floored(self._settings["diagnosis"]["search"]["pair_excess_sigma"])
+                ),
+                "chi2_plain": [list(left) for left in self._before.by_sensor],
+                "chi2_best": [list(left) for left in self._best.by_sensor],
+                "chi2_expected": [list(count) for count in self._pair.samples_by_sensor],
+            },
             "further": self._further(),
         }
 
@@ -590,6 +599,7 @@ def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[s
     return {
         "parameters": h.own,
         "chi2": list(h.chi2),
+        "chi2_by_sensor": [list(left) for left in h.by_sensor],
         "J": h.j[0 if exchanged else 1],
         "occam": h.occam - attribution.plain.occam,
     }

@@ -146,7 +146,7 @@ def attribute(
     listed = [(s.effects[-1].key, s.predicted) for s in singles]
     progress(f"screened {len(listed)} hypotheses")
     least = settings["questionable_probability"]
-    quiet = calibration is not None and is_out_of_reach(plain.chi2, count, least, calibration)
+    quiet = calibration is not None and is_out_of_reach(search.above(plain), sum(count), least, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     hypotheses = _other_forms(search, hypotheses, singles, plain)
     if not quiet:
@@ -156,7 +156,7 @@ def attribute(
     excess = search.excess(hypotheses[0])
     progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
     if excess > settings["pair_excess_sigma"]:
-        left = sum(hypotheses[0].chi2) - sum(count)
+        left = search.beyond(hypotheses[0])
         others = calibration is None or left > further_price(calibration)
         more, promising = _pairs(search, plain, singles, hypotheses, everything, settings, others=others)
         # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
@@ -242,7 +242,7 @@ def _converged(
 
     What a refit that was cut short leaves, or the coarse time step of the search, is no second cause.
     """
-    left, gap = (sum(h.chi2) - sum(search.samples) for h in (best, plain))
+    left, gap = (search.beyond(h) for h in (best, plain))
     if search.is_noise(best) or left > settings["grow_share"] * gap:
         return best
     again = search.fit(best.effects, best.z, final=True)
@@ -251,7 +251,7 @@ def _converged(
 
 def _earned(search: Search, smaller: Hypothesis, larger: Hypothesis) -> float:
     """Share of what a set leaves beyond its noise that a larger one takes away."""
-    left = sum(smaller.chi2) - sum(search.samples)
+    left = search.beyond(smaller)
     return (sum(smaller.chi2) - sum(larger.chi2)) / left
 
 
@@ -309,7 +309,7 @@ def _behind(
 ) -> bool:
     """Return whether an effect promises too little beside a single one that explains nearly all to be an answer."""
     n = search.samples[0]
-    left, gap = (sum(h.chi2) - sum(search.samples) for h in (best, plain))
+    left, gap = (search.beyond(h) for h in (best, plain))
     if search.is_noise(best):
         return bool(screened.predicted > best.chi2[0] + settings["out_of_reach"])
     far = settings["far_behind"] * (best.chi2[0] - n) + settings["out_of_reach"]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from real2sim.diagnosis.sensors import above
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ class Candidate:
     ``occam`` is what the marginal likelihood adds to chi-squared (`JointResiduals.occam_of`), less what it adds for the
     plain plant. ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``,
     or none. ``unlisted``: a law without a name; ``ambiguous``: one of its effects stands for laws without a name as
-    often as for itself.
+    often as for itself. ``sensors``: chi-squared and residuals of each sensor, all trials together, and whether
+    it is on its floor; empty: all is of one sensor that is not.
     """
 
     names: tuple[str, ...]
@@ -44,6 +46,14 @@ class Candidate:
     unlisted: bool = False
     ambiguous: bool = False
     places: tuple[tuple[str, ...], ...] = ()
+    sensors: tuple[tuple[float, float, bool], ...] = ()
+
+    def beyond(self, samples: tuple[int, ...], share: float = 0.0) -> float:
+        """Return chi-squared beyond noise that is louder by a ``share`` of its expectation, at least 0."""
+        left, expected, floored = zip(
+            *(self.sensors or ((sum(self.chi2), sum(samples), False),)), strict=True
+        )
+        return max(above(left, expected, floored, share), 0.0)
 
     @property
     def deviance(self) -> float:
@@ -79,8 +89,7 @@ class Decision:
 
 def _gap(plain: Candidate, samples: tuple[int, ...]) -> float:
     """Chi-squared of both trials that the plain plant leaves above its expectation, at least its SD."""
-    n = sum(samples)
-    return max(sum(plain.chi2) - n, float(np.sqrt(2 * n)))
+    return max(plain.beyond(samples), float(np.sqrt(2 * sum(samples))))
 
 
 def unexplained(
@@ -93,8 +102,8 @@ def unexplained(
 
     The level of noise is known to ``noise_share``.
     """
-    best = min(sum(x.chi2) for x in (plain, *candidates))
-    return max(best - (1 + c["noise_share"]) * sum(samples), 0.0) / _gap(plain, samples)
+    left = min(x.beyond(samples, c["noise_share"]) for x in (plain, *candidates))
+    return left / _gap(plain, samples)
 
 
 def _odds_of_unlisted(share: float, c: DiagnosisCalibrationSettings) -> float:
@@ -127,16 +136,14 @@ def gain_of_a_law(c: DiagnosisCalibrationSettings) -> float:
     return difference_for(c["cause_log_odds"], c)
 
 
-def is_out_of_reach(
-    plain: tuple[float, float], samples: tuple[int, int], questionable: float, c: DiagnosisCalibrationSettings
-) -> bool:
+def is_out_of_reach(left: float, samples: int, questionable: float, c: DiagnosisCalibrationSettings) -> bool:
     """Return whether the plain plant leaves so little that even a law which explained all of it would not be believed.
 
-    Given chi-squared of the plain plant on both trials; two standard deviations of what noise leaves are granted to
-    that law, and it has to be as likely as ``questionable``.
+    ``left`` is chi-squared of the plain plant less its expectation (`sensors.above`), of ``samples`` residuals in both
+    trials. Two standard deviations of what noise leaves are granted to that law, and it has to be as likely as
+    ``questionable``.
     """
-    n = sum(samples)
-    gain = max(sum(plain) - n + 2 * float(np.sqrt(2 * n)), 0.0)
+    gain = max(left + 2 * float(np.sqrt(2 * samples)), 0.0)
     log_odds = -c["cause_log_odds"] - log_likelihood(gain, 0.0, c)
     return bool(log_odds < np.log(questionable / (1 - questionable)))
 
@@ -162,8 +169,10 @@ def logits(
     First a cause competes with none, by what the best set gains, or what one that is not listed would if it left only
     noise. What a cause has is shared out between the listed sets, by their evidence, and `unknown`, by what they leave.
     """
-    noise = (1 + c["noise_share"]) * sum(samples)
     share = unexplained(plain, candidates, samples, c)
+    # what a law that explains all but noise would leave, by the set that leaves least
+    least = min((plain, *candidates), key=lambda x: sum(x.chi2))
+    noise = sum(least.chi2) - least.beyond(samples, c["noise_share"])
     odds = _odds_of_unlisted(share, c)
 
     def gained(deviance: float) -> float:
@@ -279,7 +288,7 @@ def with_layers(
         return decision
     c, everything = calibration, [*layers.values(), *alone]
     best = min(x.deviance for x in everything)
-    left = max(min(sum(x.chi2) for x in everything) - (1 + c["noise_share"]) * sum(samples), 0.0)
+    left = min(x.beyond(samples, c["noise_share"]) for x in everything)
     # the law on top stands beside the first effect of its set, as every further one does
     further = [_further(candidates[i], c) + c["further_log_odds"] for i in layers]
     further += [c["further_log_odds"] * (len(x.names) - 1) for x in alone]

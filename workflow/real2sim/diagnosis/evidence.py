@@ -62,6 +62,17 @@ class Evidence(Protocol):
         """Number of whitened residuals."""
 
     @property
+    def sensors(self) -> dict[str, int]:
+        """Number of channels of each sensor by name, in the order of the channels: what is observed, what is logged.
+
+        The same sensors in every trial of a system; one that was not recorded has no channels.
+        """
+
+    @property
+    def noise_by_sensor(self) -> tuple[float, ...]:
+        """Mean chi-squared of simulated noise by sensor: less than the residuals where a floor exceeds the noise."""
+
+    @property
     def held_out(self) -> bool:
         """Return whether this is not the trial that is fitted."""
 
@@ -119,7 +130,7 @@ class Evidence(Protocol):
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Return chi-squared (draws,) of noise alone where effects with searched numbers x are the truth."""
+        """Return chi-squared (draws, s) by sensor of noise alone where effects with numbers x (p,) are true."""
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """Return the residuals (draws, n, c) by noise of the drive, as a function of parameters (p,)."""

@@ -812,7 +812,7 @@ def _grown(
     grow_share: float,
 ) -> list[Law]:
     """The laws, and further families on top of the best one while each explains much of what both trials leave."""
-    price, count = np.log(len(screened)), sum(trial.search.samples)
+    price = np.log(len(screened))
     while laws and np.isfinite(laws[0].gain) and len(laws[0].families) < options["most"]:
         best = laws[0]
         if trial.search.is_noise(best.hypothesis):
@@ -840,7 +840,7 @@ def _grown(
         more = max(tried, key=lambda law: law.gain, default=None)
         if more is None:
             break
-        left, now = (sum(law.hypothesis.chi2) - count for law in (best, more))
+        left, now = (trial.search.beyond(law.hypothesis) for law in (best, more))
         if now > (1 - grow_share) * left:
             break
         laws = [more, *laws]

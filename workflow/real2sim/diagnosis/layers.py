@@ -16,6 +16,7 @@ from real2sim.diagnosis.decide import UNKNOWN, Candidate, Decision, with_layers
 from real2sim.diagnosis.free_form import Law, Measured
 from real2sim.diagnosis.kin import is_kin_of
 from real2sim.diagnosis.refit import Hypothesis
+from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Found, candidates_of
 
 if TYPE_CHECKING:
@@ -98,13 +99,13 @@ def _worth_a_layer(found: Found, decision: Decision, options: DiagnosisSettings)
 
     Only sets that explain a share of the gap themselves (``search.grow_share``).
     """
-    attribution, count = found.attribution, sum(found.attribution.samples)
+    attribution, search = found.attribution, Search(found.pair, options["search"])
     if decision.chosen is not None:
         return [decision.chosen]
-    gap = sum(attribution.plain.chi2) - count
+    gap = search.beyond(attribution.plain)
     share = options["search"]["grow_share"]
     order = sorted(
-        (i for i, h in enumerate(attribution.hypotheses) if sum(h.chi2) - count < (1 - share) * gap),
+        (i for i, h in enumerate(attribution.hypotheses) if search.beyond(h) < (1 - share) * gap),
         key=lambda i: sum(attribution.hypotheses[i].chi2) + attribution.hypotheses[i].occam,
     )
     single = [i for i in order if len(attribution.hypotheses[i].effects) == 1]

@@ -55,12 +55,10 @@ class Machine:
             raise ValueError(f"{self.name} was not searched")
         return self.outcome
 
-    @property
-    def left(self) -> float:
-        """Chi-squared beyond its expectation that the best set of effects leaves, at least 0."""
-        found = self.searched.found.attribution
-        best = min(sum(h.chi2) for h in (found.plain, *found.hypotheses))
-        return max(best - sum(self.samples), 0.0)
+    def left(self, options: DiagnosisSettings) -> float:
+        """Return chi-squared beyond its expectation that the best set of effects leaves; ``options`` as of `Trials`."""
+        found, search = self.searched.found.attribution, Search(self.pair, options["search"])
+        return min(search.beyond(h) for h in (found.plain, *found.hypotheses))
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ def _explains_simply(machine: Machine, options: DiagnosisSettings) -> bool:
 def probabilities(machines: Sequence[Machine], options: DiagnosisSettings) -> list[float]:
     """Return the probability of each machine, equal before the trials; ``options``: slice ``diagnosis``."""
     best = min(m.deviance for m in machines)
-    left = min(m.left for m in machines if m.outcome is not None)
+    left = min(m.left(options) for m in machines if m.outcome is not None)
     calibration = options["calibration"]
     rows = np.array([log_likelihood(m.deviance - best, left, calibration) for m in machines])
     p = np.exp(rows - rows.max())

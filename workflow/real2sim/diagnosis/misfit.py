@@ -33,14 +33,16 @@ if TYPE_CHECKING:
 class Misfit:
     """Chi-squared that a named set, ``key``, leaves, and the laws that could explain it.
 
-    ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
-    ``share``: of what the plain plant leaves beyond noise, on both trials. ``measured`` are the laws without a name,
-    None where nothing is left that they could explain; ``law`` is the family that explains most beside the set;
-    ``rival`` is the probability of the first of the measured laws, None where it does not compete.
+    ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves, of the
+    sensor where that is most; ``sensor``: the one where both trials together leave most; ``share``: of what the plain
+    plant leaves beyond noise, on both trials. ``measured`` are
+    the laws without a name, None where nothing is left that they could explain; ``law`` is the family that explains
+    most beside the set; ``rival`` is the probability of the first of the measured laws, None where it does not compete.
     """
 
     key: str
     sd: tuple[float, float]
+    sensor: str
     share: float
     marked: bool
     measured: Measured | None = None
@@ -57,7 +59,13 @@ class Misfit:
                 "size": size(found.pair, self.law, self.measured.library),
                 "chi2": list(self.law.hypothesis.chi2),
             }
-        return {"marked": self.marked, "left_sd": list(self.sd), "left_share": self.share, "law": about}
+        return {
+            "marked": self.marked,
+            "left_sd": list(self.sd),
+            "sensor": self.sensor,
+            "left_share": self.share,
+            "law": about,
+        }
 
 
 def misfit_of(
@@ -74,22 +82,21 @@ def misfit_of(
         return left
     progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: is its form right?")
     free, searched = options["free_form"], options["search"]
-    reach = _reach(named, left.share, search.samples, searched)
+    reach = _reach(search.beyond(named), left.share, sum(search.samples), searched)
     measured = measure(found.pair, plain, named.base, search, free, searched, progress, reach)
     return replace(left, marked=True, measured=measured)
 
 
-def _reach(
-    named: Hypothesis, share: float, samples: tuple[int, int], settings: DiagnosisSearchSettings
-) -> float:
+def _reach(left: float, share: float, samples: int, settings: DiagnosisSearchSettings) -> float:
     """Chi-squared of both trials beyond which a law is no rival of a named set that leaves a ``share`` of the gap.
+
+    ``left`` is that share in chi-squared, ``samples`` the residuals of both trials.
 
     As of an effect beside another that explains nearly everything.
     """
     if share >= settings["nearly_all"]:
         return float("inf")
-    total = sum(samples)
-    return total + settings["far_behind"] * (sum(named.chi2) - total) + settings["out_of_reach"]
+    return samples + settings["far_behind"] * left + settings["out_of_reach"]
 
 
 def told_apart(
@@ -132,9 +139,10 @@ def with_law(
 def _left(found: Found, named: Hypothesis, options: DiagnosisSettings) -> Misfit:
     """Return the misfit of a named set, not marked yet."""
     search, plain = Search(found.pair, options["search"]), found.attribution.plain
-    total = sum(search.samples)
-    share = (sum(named.chi2) - total) / max(sum(plain.chi2) - total, float(np.sqrt(2 * total)))
-    return Misfit(named.key, search.excess_of_trials(named), share, marked=False)
+    share = search.beyond(named) / max(search.beyond(plain), float(np.sqrt(2 * sum(search.samples))))
+    return Misfit(
+        named.key, search.excess_of_trials(named), search.loudest_sensor(named), share, marked=False
+    )
 
 
 def chosen(attribution: Attribution, decision: Decision) -> Hypothesis:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.sensors import by_sensor
 from real2sim.effects.base import InterfaceImpedance
 from real2sim.effects.catalogue import Placed
 from real2sim.inference import least_squares
@@ -28,7 +29,8 @@ class Hypothesis:
 
     ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays;
     ``converged``: it was refitted to the end. ``occam``: what Laplace's approximation of the marginal likelihood of the
-    training trial adds to chi-squared (`occam_of`).
+    training trial adds to chi-squared (`occam_of`). ``sensors`` are ``chi2`` by sensor, trial by trial, where there is
+    more than one.
     """
 
     effects: tuple[Placed, ...]
@@ -38,6 +40,12 @@ class Hypothesis:
     evaluations: int = 0
     converged: bool = False
     occam: float = 0.0
+    sensors: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def by_sensor(self) -> tuple[tuple[float, ...], ...]:
+        """Chi-squared by sensor, trial by trial."""
+        return self.sensors or tuple((left,) for left in self.chi2)
 
     @property
     def own(self) -> int:
@@ -252,20 +260,19 @@ class JointResiduals(least_squares.Residuals):
         """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""
         return self._evidence.raw(*self._run(z[None]))
 
-    def judged(self, z: np.ndarray) -> tuple[float, float]:
-        """Sum of squares of the data's residuals alone, and J, at a point (n + p,).
+    def judged(self, z: np.ndarray) -> tuple[tuple[float, ...], float]:
+        """Sum of squares of the data's residuals alone by sensor, and J, at a point (n + p,).
 
-        Ways of the pelvis' markers that these do not show count as residuals too.
+        Ways of the pelvis' markers that these do not show count as residuals of the first sensor, the markers.
         """
         self.evaluations += 1
         paths, joints = self._run(z[None])
-        row = self._evidence.whitened(paths, joints)[0]
-        chi2 = float(row @ row)
+        left = by_sensor(self._evidence.whitened(paths, joints), self._evidence.sensors.values())[0]
         for placed, x in zip(self.effects, split(self.effects, z[None, self._n :]), strict=True):
             skin, ways = self._ways(placed, x)
             if skin is not None:
-                chi2 += skin.against_it(ways[0])
-        return chi2, float(self._evidence.j(paths)[0])
+                left[0] += skin.against_it(ways[0])
+        return tuple(left.tolist()), float(self._evidence.j(paths)[0])
 
 
 def _base_prior(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

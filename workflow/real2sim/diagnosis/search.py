@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
+from real2sim.diagnosis.sensors import above, on_floor, pooled
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent, bounded_step
 from real2sim.memory import give_back
@@ -27,6 +28,13 @@ if TYPE_CHECKING:
 
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+
+
+def samples_by_sensor(items: Sequence[Evidence]) -> tuple[tuple[int, ...], ...]:
+    """Return the numbers of whitened residuals by sensor, trial by trial."""
+    return tuple(
+        tuple(e.samples * own // sum(e.sensors.values()) for own in e.sensors.values()) for e in items
+    )
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,16 @@ class Pair:
     def shown(self) -> Evidence:
         """The trial that shows the gap: the held-out one, but where they changed places."""
         return self.train if self.exchanged else self.held_out
+
+    @property
+    def samples_by_sensor(self) -> tuple[tuple[int, ...], ...]:
+        """Whitened residuals by sensor, trial by trial."""
+        return samples_by_sensor((self.train, self.held_out))
+
+    def floored(self, sd: float) -> tuple[bool, ...]:
+        """Return of each sensor whether it is on its floor: see `on_floor`."""
+        noise = pooled([self.train.noise_by_sensor, self.held_out.noise_by_sensor])
+        return on_floor(noise, pooled(self.samples_by_sensor), sd)
 
 
 @dataclass(frozen=True)
@@ -139,15 +157,20 @@ class Search:
             z, _ = refit(held_out, z, iterations=iterations, ftol=ftol)
             # what the other trial has of its own pays there for what it could have been
             occam += 0.0 if held_out.last is None else held_out.occam_of(z, held_out.last)
-        judged = np.array([residuals.judged(z), held_out.judged(z)])
+        judged = [residuals.judged(z), held_out.judged(z)]
         # what cannot be simulated, itself or near by, explains nothing
-        judged = np.where(np.isfinite(judged) & np.isfinite(occam), judged, FAILED)
-        occam = occam if np.isfinite(occam) else 0.0
+        simulated = np.isfinite(occam) and all(np.isfinite([*left, j]).all() for left, j in judged)
+        if not simulated:
+            judged = [(tuple(FAILED / len(left) for _ in left), FAILED) for left, _ in judged]
+            occam = 0.0
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
-        (train, j_train), (other, j_other) = judged.tolist()
+        (train, j_train), (other, j_other) = judged
+        left = sum(train), sum(other)
         give_back()
-        return Hypothesis(tuple(effects), z, (train, other), (j_train, j_other), count, final, occam)
+        return Hypothesis(
+            tuple(effects), z, left, (j_train, j_other), count, final, occam, sensors=(train, other)
+        )
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:
         """Those of the training trial; what is only searched with does not need the finest time step."""
@@ -158,27 +181,52 @@ class Search:
         """Whitened residuals of the two trials."""
         return self.pair.train.samples, self.pair.held_out.samples
 
+    @property
+    def samples_by_sensor(self) -> tuple[tuple[int, ...], ...]:
+        """The same by sensor, trial by trial."""
+        return self.pair.samples_by_sensor
+
+    @property
+    def floored(self) -> tuple[bool, ...]:
+        """Of each sensor whether it is on its floor."""
+        return self.pair.floored(self._settings["pair_excess_sigma"])
+
+    def above(self, hypothesis: Hypothesis) -> float:
+        """Return chi-squared of both trials less its expectation; a sensor on its floor is granted that."""
+        return above(pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor), self.floored)
+
+    def beyond(self, hypothesis: Hypothesis) -> float:
+        """Return the same, at least 0."""
+        return max(self.above(hypothesis), 0.0)
+
     def excess(self, hypothesis: Hypothesis) -> float:
         """Return what a hypothesis leaves beyond noise, in SD of what noise leaves.
 
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
         """
-        left, mean = sum(hypothesis.chi2), float(sum(self.samples))
-        if left - mean < self._settings["pair_excess_sigma"] * np.sqrt(2 * mean) or not hypothesis.effects:
-            return _beyond(left, mean, None)
+        left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
+        out = _excess(left, expected, self.floored, None)
+        if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
+            return out
         train, held_out = self._noise_of(hypothesis)
-        return _beyond(left, mean, train + held_out)
+        return _excess(left, expected, self.floored, train + held_out)
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
         """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
-        train, held_out = (
-            _beyond(left, n, draws)
-            for left, n, draws in zip(hypothesis.chi2, self.samples, self._noise_of(hypothesis), strict=True)
-        )
+        each = zip(hypothesis.by_sensor, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
+        train, held_out = (_excess(left, expected, self.floored, draws) for left, expected, draws in each)
         return train, held_out
 
+    def loudest_sensor(self, hypothesis: Hypothesis) -> str:
+        """Return the name of the sensor whose `excess` is the largest."""
+        left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
+        train, held_out = self._noise_of(hypothesis)
+        each = zip(left, expected, (train + held_out).T, strict=True)
+        excess = [_excess([a], [n], [False], draws[:, None]) for a, n, draws in each]
+        return list(self.pair.train.sensors)[int(np.argmax(excess))]
+
     def _noise_of(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-        """Chi-squared (draws,) of noise alone of both trials where the hypothesis is the truth."""
+        """Chi-squared (draws, sensors) of noise alone of both trials where the hypothesis is the truth."""
         key = hypothesis.key, hypothesis.z.tobytes()
         if key not in self._noise:
             parameters, x = self.pair.system.values(hypothesis.base), hypothesis.split()
@@ -368,12 +416,20 @@ class Search:
         return out
 
 
-def _beyond(left: float, expected: float, draws: np.ndarray | None) -> float:
-    """Return chi-squared beyond noise, in SD of what noise leaves: as expected, or as drawn where that is more."""
-    sd = float(np.sqrt(2 * expected))
+def _excess(
+    left: Sequence[float], expected: Sequence[float], floored: Sequence[bool], draws: np.ndarray | None
+) -> float:
+    """Return chi-squared (s,) beyond noise, in SD of what noise leaves: as expected, or as drawn where that is more.
+
+    ``draws`` (draws, s) are of noise alone.
+    """
+    total = float(sum(expected))
+    # a sensor that was not recorded leaves nothing, and nothing is expected of it
+    more, sd = above(left, expected, floored), float(np.sqrt(2 * max(total, 1.0)))
     if draws is None or not np.isfinite(draws).all():
-        return (left - expected) / sd
-    return float((left - max(expected, draws.mean())) / max(sd, draws.std()))
+        return more / sd
+    drawn = np.array([above(row, expected, floored) for row in draws])
+    return float((more - max(0.0, drawn.mean())) / max(sd, drawn.std()))
 
 
 def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.ndarray] | None:

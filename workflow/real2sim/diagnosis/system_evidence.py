@@ -15,6 +15,7 @@ from scipy.ndimage import label
 
 from real2sim import signals
 from real2sim.diagnosis.channel_cost import ChannelCost
+from real2sim.diagnosis.sensors import by_sensor
 from real2sim.diagnosis.whitening import Bands, Whitening
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -120,6 +121,11 @@ class SystemEvidence:
         return self.bands.last * self.channels
 
     @property
+    def sensors(self) -> dict[str, int]:
+        """Number of observed and of logged channels, which may be 0."""
+        return {"outputs": self.measured.observed.shape[1], "log": self.measured.logged.shape[1]}
+
+    @property
     def skin(self) -> Skin | None:
         """None: markers of a described system are taken as fixed to their bodies."""
         return None
@@ -138,6 +144,11 @@ class SystemEvidence:
             len(self.measured.time_s),
             1 / self.rate_hz,
         )
+
+    @cached_property
+    def noise_by_sensor(self) -> tuple[float, ...]:
+        """Mean chi-squared of simulated noise by sensor."""
+        return self._whitening.of_noise_by_sensor(self.sensors.values())
 
     @property
     def noise(self) -> np.ndarray:
@@ -253,12 +264,12 @@ class SystemEvidence:
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Chi-squared (draws,) of noise alone where effects with searched numbers x (p,) each are the truth."""
+        """Chi-squared (draws, sensors) of noise alone where effects with searched numbers x (p,) each are the truth."""
         error = self._noise(effects, parameters, x, draws, seed)
         nuisance = self.cache["nuisance"]
         rng = np.random.default_rng([seed, draws])
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
-        return np.asarray(np.sum(self.whiten(error + drawn) ** 2, axis=1))
+        return by_sensor(self.whiten(error + drawn), self.sensors.values())
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """Residuals (draws, n, c) by noise of the drive, as a function of parameters (p,)."""

@@ -34,7 +34,8 @@ from real2sim.diagnosis.decide import (
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence
 from real2sim.diagnosis.further import Predicted, predict_further
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
-from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.search import Pair, Search, samples_by_sensor
+from real2sim.diagnosis.sensors import above, pooled
 from real2sim.effects.catalogue import Placed
 from real2sim.system.description import System
 
@@ -129,6 +130,11 @@ class Found:
         """Whitened residuals of all trials."""
         return (*self.attribution.samples, *(evidence.samples for evidence in self.further))
 
+    @property
+    def samples_by_sensor(self) -> tuple[tuple[int, ...], ...]:
+        """The same by sensor, trial by trial."""
+        return (*self.pair.samples_by_sensor, *samples_by_sensor(self.further))
+
     def predict_further(self, hypothesis: Hypothesis, options: DiagnosisSettings) -> list[Predicted]:
         """Return what a hypothesis leaves of the further trials; ``options``: slice ``diagnosis``."""
         key = hypothesis.key, hypothesis.z.tobytes()
@@ -144,11 +150,14 @@ class Found:
         more = self.predict_further(hypothesis, options)
         occam = hypothesis.occam - self.attribution.plain.occam + sum(f.occam for f in more)
         chi2 = (*hypothesis.chi2, *(f.chi2 for f in more))
+        own = (*hypothesis.by_sensor, *(f.sensors for f in more))
+        floored = self.pair.floored(options["search"]["pair_excess_sigma"])
+        sensors = tuple(zip(pooled(own), pooled(self.samples_by_sensor), floored, strict=True))
         if law:
-            return Candidate(tuple(law), chi2, occam, unlisted=True)
+            return Candidate(tuple(law), chi2, occam, unlisted=True, sensors=sensors)
         effects, names = hypothesis.effects, hypothesis.names
         places = tuple(tuple(p.key for p in effects if p.effect.name == name) for name in names)
-        return Candidate(names, chi2, occam, ambiguous=is_ambiguous(effects), places=places)
+        return Candidate(names, chi2, occam, ambiguous=is_ambiguous(effects), places=places, sensors=sensors)
 
     @property
     def initial_state(self) -> str:
@@ -194,7 +203,7 @@ def looks_settled(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) -> 
 
     def unexplained(h: Hypothesis, of: Pair) -> tuple[float, float]:
         raw = [(e, JointResiduals(e, (), of.system).raw(h.z)) for e in (of.train, of.held_out)]
-        return sum(h.chi2) - sum(search.samples), float(np.mean([e.standing(r) for e, r in raw])) - 1
+        return search.beyond(h), float(np.mean([e.standing(r) for e, r in raw])) - 1
 
     drawn = np.mean([e.standing(e.noise) for e in items], axis=0) - 1
     noise = (options["search"]["pair_excess_sigma"] * np.sqrt(2 * sum(search.samples)), drawn.max())
@@ -276,9 +285,10 @@ def search_both_ways(trials: Trials) -> Outcome:
 def explains_fitted(found: Found, options: DiagnosisSettings) -> bool:
     """Return whether some set leaves so little of the trial that it was fitted to that `unknown` is less likely."""
     attribution, c = found.attribution, options["calibration"]
-    n, plain = attribution.samples[0], attribution.plain.chi2[0]
-    best = min((h.chi2[0] for h in attribution.hypotheses), default=plain)
-    return bool(best - (1 + c["noise_share"]) * n <= c["even_share"] * max(plain - n, 0.0))
+    n, plain = found.pair.samples_by_sensor[0], attribution.plain
+    floored = found.pair.floored(options["search"]["pair_excess_sigma"])
+    best = min(above(h.by_sensor[0], n, floored, c["noise_share"]) for h in (plain, *attribution.hypotheses))
+    return bool(best <= c["even_share"] * max(above(plain.by_sensor[0], n, floored), 0.0))
 
 
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSettings) -> bool:
@@ -287,12 +297,12 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSett
     A stop, say, that only the second trial reaches: what is fitted to the first learns nothing of it.
     """
     left = [JointResiduals(e, (), pair.system).judged(z)[0] for e in (pair.train, pair.held_out)]
-    samples = (pair.train.samples, pair.held_out.samples)
-    noise = samples[0] + options["search"]["pair_excess_sigma"] * np.sqrt(2 * samples[0])
-    quiet, least = left[0] < noise, options["search"]["questionable_probability"]
-    return bool(
-        quiet and not is_out_of_reach((left[1], left[0]), samples[::-1], least, options["calibration"])
-    )
+    samples, sd = pair.samples_by_sensor, options["search"]["pair_excess_sigma"]
+    floored = pair.floored(sd)
+    quiet = above(left[0], samples[0], floored) < sd * np.sqrt(2 * sum(samples[0]))
+    least, count = options["search"]["questionable_probability"], sum(map(sum, samples))
+    plain = above(pooled(left), pooled(samples), floored)
+    return bool(quiet and not is_out_of_reach(plain, count, least, options["calibration"]))
 
 
 def candidates_of(found: Found, options: DiagnosisSettings) -> tuple[Candidate, list[Candidate]]:

@@ -6,10 +6,13 @@ constants that are unknown but the same for a whole trial are marginalised. Afte
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import dct
+
+from real2sim.diagnosis.sensors import by_sensor
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,10 @@ class Whitening:
         counts = np.bincount(self.bands.index(), minlength=len(self.matrices))
         noise = -2 * counts @ np.linalg.slogdet(self.matrices)[1]
         return float(noise - 2 * np.log1p(-self.discounts).sum())
+
+    def of_noise_by_sensor(self, channels: Collection[int]) -> tuple[float, ...]:
+        """Return the mean chi-squared (s,) of the simulated noise by sensor; ``channels`` (s,): see `by_sensor`."""
+        return tuple(by_sensor(self.apply(self.noise), channels).mean(axis=0).tolist())
 
     def in_noise(self, error: np.ndarray) -> np.ndarray:
         """Return residuals (m, n_r) in units of simulated noise alone, of residuals (m, n, c)."""

@@ -93,7 +93,7 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
     closed = f"{100 * (1 - misfit['left_share']):.3g}"
     text = (
         f"What is named closes {closed} % of the gap, and is not all: {fitted} (fitted trial) and {held_out} (held-out "
-        "trial) standard deviations of noise are left"
+        f"trial) standard deviations of noise are left{_in_sensor(misfit)}"
     )
     law = misfit["law"]
     if law is None:
@@ -102,6 +102,11 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
         "a force" if law["size"] is None else f"{rounded(law['size']['rms'], 2)} {law['size']['unit']} (RMS)"
     )
     return f"{text}: {size} along {' and '.join(law['axes'])} {_dependence(law)}."
+
+
+def _in_sensor(misfit: Mapping[str, Any]) -> str:
+    """Return the sensor where most is left, in words; nothing in answers from before sensors were told apart."""
+    return f", most of it in the {misfit['sensor']}" if misfit.get("sensor") else ""
 
 
 def _words(name: str) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from real2sim import signals
+from real2sim.diagnosis.sensors import by_sensor
 from real2sim.diagnosis.whitening import Bands, Whitening
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -169,6 +170,11 @@ class StrapEvidence:
         """J of the paper."""
         return self.recorded.cost
 
+    @cached_property
+    def noise_by_sensor(self) -> tuple[float, ...]:
+        """Mean chi-squared of simulated noise by sensor."""
+        return self._whitening.of_noise_by_sensor(self.sensors.values())
+
     @property
     def noise(self) -> np.ndarray:
         """Simulated residuals (draws, n, c) of a perfect model [m, rad]."""
@@ -200,6 +206,11 @@ class StrapEvidence:
     def samples(self) -> int:
         """Number of whitened residuals."""
         return self.bands.last * self.channels
+
+    @property
+    def sensors(self) -> dict[str, int]:
+        """Number of channels of the markers and of the robot's log, 0 without one."""
+        return {"markers": 6, "robot log": self.channels - 6}
 
     def replay(self, effects: Sequence[Placed], nsim: int, *, coarse: bool = False) -> EffectReplay:
         """A replay of this trial with effects, at a fraction of the time step where one of them needs it.
@@ -398,12 +409,12 @@ class StrapEvidence:
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Chi-squared (draws,) that noise alone leaves where effects with searched numbers x (p,) each are the truth.
+        """Chi-squared (draws, sensors) that noise alone leaves where effects with numbers x (p,) each are the truth.
 
         Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
         """
         error, drawn = self._noise(parameters, draws, seed, effects, x)
-        return np.asarray(np.sum(self.whiten(error + drawn) ** 2, axis=1))
+        return by_sensor(self.whiten(error + drawn), self.sensors.values())
 
     def _noise(
         self,

@@ -140,6 +140,8 @@ def examples(folder: Path, together: bool = False) -> list[Example]:
     for path in sorted((folder / "cases").glob("*/diagnosis.json")):
         answer = read_json(path, ("considered", "gap"))
         gap = answer["gap"]
+        if "by_sensor" not in gap:
+            sys.exit(f"{path}: expected gap.by_sensor. It was answered by older code: run the suite again.")
         sets = [_candidate(row, gap, together) for row in answer["considered"]]
         sensors = () if together else _sensors(gap["by_sensor"]["chi2_plain"], gap)
         plain = Candidate((), tuple(gap["chi2_plain"]), sensors=sensors)

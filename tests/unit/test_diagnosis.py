@@ -111,7 +111,7 @@ def test_the_other_trial_is_fitted_where_nothing_explains_it(monkeypatch, first,
 def test_a_trial_that_nothing_explains_is_not_explained_by_fits_to_the_other(left, explained):
     plain = Hypothesis((), np.zeros(12), (102_880.0, 90_000.0))
     sets = [Hypothesis((), np.zeros(12), (left, 80_000.0))]
-    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
+    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,))
     found = Found(pair, Attribution(plain, sets, [], (2880, 2880), None))
     assert trials_module.explains_fitted(found, CONFIG["diagnosis"]) is explained
 
@@ -172,7 +172,7 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     left = {("sync_offset", ""): 2883.0, ("filter_lag", ""): 2880.0, ("filter_lag", "first_order"): 2880.5}
     found = [Hypothesis((places[key],), np.zeros(13), (2880.0, chi2)) for key, chi2 in left.items()]
     attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
-    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
+    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,))
     refitted = []
 
     def finish(pair, hypothesis, settings):
@@ -201,7 +201,8 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
     placed = Placed(lag, lag.places(STRAP)[0], SCALES)
     fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
-    pair = Pair(None, None, system)
+    trial = SimpleNamespace(samples=1000, sensors={"markers": 6}, noise_by_sensor=(1000.0,))
+    pair = Pair(trial, trial, system)
     rows = parameter_verdicts(pair, fit, 1000, CONFIG)
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
     assert [row.verdict for row in rows[:5]] == verdicts
@@ -216,6 +217,13 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     worse = replace(fit, chi2=(9000.0, 900.0))
     again = parameter_verdicts(pair, worse, 1000, CONFIG)
     assert again[0].verdict == "weak", "three times as wide"
+    # a log that is quieter than its floor makes up for none of what the markers leave
+    trial = SimpleNamespace(
+        samples=1000, sensors={"markers": 6, "robot log": 6}, noise_by_sensor=(500.0, 10.0)
+    )
+    loud = replace(fit, chi2=(1000.0, 900.0), sensors=((990.0, 10.0), (890.0, 10.0)))
+    told = parameter_verdicts(Pair(trial, trial, system), loud, 1000, CONFIG)
+    assert np.diff(np.log(told[0].ci95)) > 1.15 * np.diff(np.log(rows[0].ci95))
 
 
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):

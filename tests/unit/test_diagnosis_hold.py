@@ -183,7 +183,9 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
         chi2 = (left if settled else 4000.0,) * 2
         found = Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880), None)
         train = SimpleNamespace(settled=settled)
-        pair = SimpleNamespace(train=train, samples_by_sensor=((2880,), (2880,)), floored=lambda sd: (False,))
+        pair = SimpleNamespace(
+            train=train, samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,)
+        )
         return trials_module.Found(pair, found)
 
     trials_module = trials

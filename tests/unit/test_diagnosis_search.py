@@ -55,7 +55,7 @@ class _Stuck(Search):
 
     samples = (2880, 2880)
     samples_by_sensor = ((2880,), (2880,))
-    floored = (False,)
+    on_floor = (False,)
 
     def __init__(self, start: float = 0.01, cost: float = FAILED):
         self.asked = []

@@ -140,7 +140,7 @@ def _machine(name: str, deviance: float, chi2: float) -> Machine:
     found = SimpleNamespace(attribution=SimpleNamespace(plain=plain, hypotheses=[]))
     trial = SimpleNamespace(samples=1000, sensors={"markers": 12})
     pair = SimpleNamespace(
-        train=trial, held_out=trial, samples_by_sensor=((1000,), (1000,)), floored=lambda sd: (False,)
+        train=trial, held_out=trial, samples_by_sensor=((1000,), (1000,)), on_floor=lambda sd: (False,)
     )
     return Machine(name, ("a", "b"), pair, plain, deviance, SimpleNamespace(found=found))
 

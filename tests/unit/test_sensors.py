@@ -9,7 +9,7 @@ from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import UNKNOWN, Candidate, decide, unexplained
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search, samples_by_sensor
-from real2sim.diagnosis.sensors import above, by_sensor, on_floor
+from real2sim.diagnosis.sensors import above, are_on_floor, by_sensor
 
 from tests.unit.simulated_effects import STRAP
 from tests.unit.test_coupling import CONFIG
@@ -43,17 +43,17 @@ def test_chi_squared_is_split_by_the_channels_of_each_sensor():
 
 
 def test_a_sensor_is_on_its_floor_where_noise_alone_leaves_less_than_chance_does():
-    assert on_floor((970.0, 200.0), (1000, 1000), 4.0) == (False, True)
-    assert _search().floored == (False, True)
-    assert _search(robot=N).floored == (False, False)
+    assert are_on_floor((970.0, 200.0), (1000, 1000), 4.0) == (False, True)
+    assert _search().on_floor == (False, True)
+    assert _search(robot=N).on_floor == (False, False)
 
 
 def test_what_a_sensor_on_its_floor_leaves_below_its_expectation_counts_for_nothing():
-    floored = (False, True)
-    assert above((130.0, 20.0), (100, 100), floored) == 30
-    assert above((130.0, 120.0), (100, 100), floored) == 50
-    assert above((130.0, 110.0), (100, 100), floored, 0.2) == pytest.approx(10)
-    assert above((90.0, 20.0), (100, 100), floored) == -10
+    on_floor = (False, True)
+    assert above((130.0, 20.0), (100, 100), on_floor) == 30
+    assert above((130.0, 120.0), (100, 100), on_floor) == 50
+    assert above((130.0, 110.0), (100, 100), on_floor, 0.2) == pytest.approx(10)
+    assert above((90.0, 20.0), (100, 100), on_floor) == -10
     # noise of two sensors that are not on their floors averages out
     assert above((130.0, 80.0), (100, 100), (False, False)) == 10
 
@@ -81,7 +81,7 @@ def test_a_trial_without_a_log_can_stand_beside_one_with_it():
     without = SimpleNamespace(samples=N, sensors={"markers": 6, "robot log": 0}, noise_by_sensor=(N, 0.0))
     search = Search(Pair(with_log, without, STRAP), CONFIG["diagnosis"]["search"])
     assert search.samples_by_sensor == ((N, N), (N, 0))
-    assert search.floored == (False, True)
+    assert search.on_floor == (False, True)
     np.testing.assert_array_equal(by_sensor(np.ones((1, 12)), (6, 0)), [[12, 0]])
     fit = Hypothesis((), np.zeros(12), (N + QUIET, LOUD), sensors=((N, QUIET), (LOUD, 0.0)))
     assert search.beyond(fit) == pytest.approx(0.3 * N)

@@ -394,7 +394,7 @@ class _Account:
             "by_sensor": {
                 "sensors": list(self._pair.train.sensors),
                 "on_floor": list(
-                    self._pair.floored(self._settings["diagnosis"]["search"]["pair_excess_sigma"])
+                    self._pair.on_floor(self._settings["diagnosis"]["search"]["pair_excess_sigma"])
                 ),
                 "chi2_plain": [list(left) for left in self._before.by_sensor],
                 "chi2_best": [list(left) for left in self._best.by_sensor],
@@ -531,16 +531,16 @@ class _Account:
 
     def _shown(self, measured: Measured) -> Law | None:
         """The first law that closes enough of the gap on the held-out trial; None where none does."""
-        least, n = self._settings["diagnosis"]["free_form"]["least_closed"], self._attribution.samples[1]
-        return next((law for law in measured.laws if self._share(law.hypothesis, n) >= least), None)
+        least = self._settings["diagnosis"]["free_form"]["least_closed"]
+        return next((law for law in measured.laws if self._share(law.hypothesis) >= least), None)
 
     def _free_form(self, measured: Measured, law: Law) -> dict[str, Any]:
         """Return what diagnosis.json says of a measured law."""
-        pair, nearest, n = self._pair, _nearest(self._attribution), self._attribution.samples[1]
+        pair, nearest = self._pair, _nearest(self._attribution)
         closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
         others = [other for other in measured.laws if other is not law]
         about = describe(pair, law, others, measured.library)
-        about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis, n)}
+        about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis)}
         about["nearest"] = None
         if nearest.names:
             path = simulate(pair.shown, pair, nearest)
@@ -548,10 +548,11 @@ class _Account:
             about["nearest"] = {"effect": name, "chi2": list(nearest.chi2)} | self._closed(path)
         return about
 
-    def _share(self, hypothesis: Hypothesis, samples: int) -> float:
+    def _share(self, hypothesis: Hypothesis) -> float:
         """Share of what chi-squared of the held-out trial has above its expectation that a hypothesis takes away."""
-        plain = self._attribution.plain.chi2[1]
-        return (plain - hypothesis.chi2[1]) / max(plain - samples, float(np.sqrt(2 * samples)))
+        search = Search(self._pair, self._settings["diagnosis"]["search"])
+        before, now = (search.above_by_trial(h)[1] for h in (self._attribution.plain, hypothesis))
+        return (before - now) / max(before, float(np.sqrt(2 * self._attribution.samples[1])))
 
     def _closed(self, path: np.ndarray) -> dict[str, Any]:
         """Share of the closable gap on the trial that shows it, with a block-bootstrap interval."""

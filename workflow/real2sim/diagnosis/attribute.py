@@ -312,7 +312,7 @@ def _behind(
     left, gap = (search.beyond(h) for h in (best, plain))
     if search.is_noise(best):
         return bool(screened.predicted > best.chi2[0] + settings["out_of_reach"])
-    far = settings["far_behind"] * (best.chi2[0] - n) + settings["out_of_reach"]
+    far = settings["far_behind"] * search.above_by_trial(best)[0] + settings["out_of_reach"]
     return bool(left < settings["nearly_all"] * gap and screened.predicted - n > far)
 
 

@@ -50,10 +50,10 @@ class Candidate:
 
     def beyond(self, samples: tuple[int, ...], share: float = 0.0) -> float:
         """Return chi-squared beyond noise that is louder by a ``share`` of its expectation, at least 0."""
-        left, expected, floored = zip(
+        left, expected, on_floor = zip(
             *(self.sensors or ((sum(self.chi2), sum(samples), False),)), strict=True
         )
-        return max(above(left, expected, floored, share), 0.0)
+        return max(above(left, expected, on_floor, share), 0.0)
 
     @property
     def deviance(self) -> float:

@@ -709,7 +709,7 @@ class Measured:
         kept = [
             law
             for law in tried
-            if law.gain - alone.gain > price and _explains_more(alone, law, trial.search.samples, share)
+            if law.gain - alone.gain > price and _explains_more(alone, law, trial.search, share)
         ]
         return max(kept, key=lambda law: law.gain, default=None)
 
@@ -835,7 +835,7 @@ def _grown(
         tried = [
             law
             for law in tried
-            if law.gain - best.gain > price and _explains_more(best, law, trial.search.samples, grow_share)
+            if law.gain - best.gain > price and _explains_more(best, law, trial.search, grow_share)
         ]
         more = max(tried, key=lambda law: law.gain, default=None)
         if more is None:
@@ -848,14 +848,14 @@ def _grown(
     return laws
 
 
-def _explains_more(smaller: Law, larger: Law, samples: Sequence[int], share: float) -> bool:
+def _explains_more(smaller: Law, larger: Law, search: Search, share: float) -> bool:
     """Return whether a larger law leaves less of the trial that it was fitted to and of the other.
 
     A history of its own in each trial mends what another law predicts badly there: it has to take away a ``share`` of
     what stands above noise in each of them.
     """
-    both = list(zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, samples, strict=True))
     added = larger.families[-1]
     if isinstance(added, Family) and added.is_free:
-        return all(a > n and b - n < (1 - share) * (a - n) for a, b, n in both)
-    return all(b < a for a, b, _ in both)
+        left, now = (search.above_by_trial(law.hypothesis) for law in (smaller, larger))
+        return all(a > 0 and b < (1 - share) * a for a, b in zip(left, now, strict=True))
+    return all(b < a for a, b in zip(smaller.hypothesis.chi2, larger.hypothesis.chi2, strict=True))

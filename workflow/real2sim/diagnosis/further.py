@@ -14,7 +14,7 @@ import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
-from real2sim.diagnosis.search import FAILED, Pair
+from real2sim.diagnosis.search import Pair, failed
 from real2sim.diagnosis.sensors import by_sensor
 from real2sim.inference.least_squares import bounded_step
 
@@ -23,13 +23,13 @@ from real2sim.inference.least_squares import bounded_step
 class Predicted:
     """Chi-squared that a set leaves of a further trial by sensor, and what the predictive likelihood adds to it."""
 
-    sensors: tuple[float, ...]
+    by_sensor: tuple[float, ...]
     occam: float
 
     @property
     def chi2(self) -> float:
         """Chi-squared of all sensors."""
-        return sum(self.sensors)
+        return sum(self.by_sensor)
 
 
 def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
@@ -67,7 +67,7 @@ def predict_further(
         known[own], known[:, own] = 0.0, 0.0
         known[own, own] = 1 / problem.prior_sd[own] ** 2
         if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
-            out.append(_failed(evidence))
+            out.append(Predicted(failed(len(evidence.sensors)), 0.0))
             continue
         here = r + jacobian @ moved
         # a coefficient of a trial's own history acts linearly however far it goes
@@ -80,16 +80,11 @@ def predict_further(
         left = by_sensor((here + jacobian @ step)[None], evidence.sensors.values())[0].tolist()
         moved_by = float(step @ known @ step + narrowed)
         if not np.isfinite([*left, moved_by]).all():
-            out.append(_failed(evidence))
+            out.append(Predicted(failed(len(evidence.sensors)), 0.0))
             continue
         out.append(Predicted(tuple(left), moved_by))
         known, moved = more, moved + step
     return out
-
-
-def _failed(evidence: Evidence) -> Predicted:
-    """Return what is said of a trial that cannot be simulated."""
-    return Predicted(tuple(FAILED / len(evidence.sensors) for _ in evidence.sensors), 0.0)
 
 
 def _of_each_trial(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from real2sim.diagnosis.corrected import Correction, corrected
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
-from real2sim.diagnosis.search import Pair
+from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.identifiability import interval_verdict
 
@@ -32,13 +32,13 @@ def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, setting
 
     ``unbiased`` is the fitted value, less its bias by noise of the drive (``bias_ln``) where that is more than its SD
     and the rest is known. The interval, cut at the search's bounds, is about the point without the bias. What the fit
-    leaves beyond noise (chi-squared over ``samples``) widens it. ``settings`` are the slices ``diagnosis`` and
-    ``identifiability``.
+    leaves beyond noise, of ``samples`` residuals of the fitted trial, widens it. ``settings`` are the slices
+    ``diagnosis`` and ``identifiability``.
     """
     options, limits = settings["diagnosis"], settings["identifiability"]
     point, covariance = corrected(pair, hypothesis, Correction.from_options(options["search"]))
     n = len(hypothesis.base)
-    excess = max(hypothesis.chi2[0] / samples, 1.0)
+    excess = 1 + max(Search(pair, options["search"]).above_by_trial(hypothesis)[0], 0.0) / samples
     sd = np.hypot(np.sqrt(np.diag(covariance)[:n] * excess), options["report"]["plant_sd_ln"])
     bias = hypothesis.base - point[:n]
     lower, upper = pair.system.bounds()

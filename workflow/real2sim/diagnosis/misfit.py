@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 class Misfit:
     """Chi-squared that a named set, ``key``, leaves, and the laws that could explain it.
 
-    ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves, of the
-    sensor where that is most; ``sensor``: the one where both trials together leave most; ``share``: of what the plain
-    plant leaves beyond noise, on both trials. ``measured`` are
-    the laws without a name, None where nothing is left that they could explain; ``law`` is the family that explains
-    most beside the set; ``rival`` is the probability of the first of the measured laws, None where it does not compete.
+    ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
+    ``sensor``: where most of it is, both trials together; ``share``: of what the plain plant leaves beyond noise, on
+    both trials. ``measured`` are the laws without a name, None where nothing is left that they could explain; ``law``
+    is the family that explains most beside the set; ``rival`` is the probability of the first of the measured laws,
+    None where it does not compete.
     """
 
     key: str
@@ -90,9 +90,8 @@ def misfit_of(
 def _reach(left: float, share: float, samples: int, settings: DiagnosisSearchSettings) -> float:
     """Chi-squared of both trials beyond which a law is no rival of a named set that leaves a ``share`` of the gap.
 
-    ``left`` is that share in chi-squared, ``samples`` the residuals of both trials.
-
-    As of an effect beside another that explains nearly everything.
+    As of an effect beside another that explains nearly everything. ``left`` is that share in chi-squared, ``samples``
+    are the residuals of both trials.
     """
     if share >= settings["nearly_all"]:
         return float("inf")

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
-from real2sim.diagnosis.sensors import above, on_floor, pooled
+from real2sim.diagnosis.sensors import above, are_on_floor, pooled
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.least_squares import Tangent, bounded_step
 from real2sim.memory import give_back
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+
+
+def failed(sensors: int) -> tuple[float, ...]:
+    """Return chi-squared by sensor of what cannot be simulated."""
+    return (FAILED / sensors,) * sensors
 
 
 def samples_by_sensor(items: Sequence[Evidence]) -> tuple[tuple[int, ...], ...]:
@@ -59,10 +64,10 @@ class Pair:
         """Whitened residuals by sensor, trial by trial."""
         return samples_by_sensor((self.train, self.held_out))
 
-    def floored(self, sd: float) -> tuple[bool, ...]:
-        """Return of each sensor whether it is on its floor: see `on_floor`."""
+    def on_floor(self, sd: float) -> tuple[bool, ...]:
+        """Return of each sensor whether it is on its floor: see `are_on_floor`."""
         noise = pooled([self.train.noise_by_sensor, self.held_out.noise_by_sensor])
-        return on_floor(noise, pooled(self.samples_by_sensor), sd)
+        return are_on_floor(noise, pooled(self.samples_by_sensor), sd)
 
 
 @dataclass(frozen=True)
@@ -161,7 +166,7 @@ class Search:
         # what cannot be simulated, itself or near by, explains nothing
         simulated = np.isfinite(occam) and all(np.isfinite([*left, j]).all() for left, j in judged)
         if not simulated:
-            judged = [(tuple(FAILED / len(left) for _ in left), FAILED) for left, _ in judged]
+            judged = [(failed(len(left)), FAILED) for left, _ in judged]
             occam = 0.0
         count = residuals.evaluations + held_out.evaluations
         self.evaluations += count
@@ -187,16 +192,22 @@ class Search:
         return self.pair.samples_by_sensor
 
     @property
-    def floored(self) -> tuple[bool, ...]:
+    def on_floor(self) -> tuple[bool, ...]:
         """Of each sensor whether it is on its floor."""
-        return self.pair.floored(self._settings["pair_excess_sigma"])
+        return self.pair.on_floor(self._settings["pair_excess_sigma"])
 
     def above(self, hypothesis: Hypothesis) -> float:
         """Return chi-squared of both trials less its expectation; a sensor on its floor is granted that."""
-        return above(pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor), self.floored)
+        return above(pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor), self.on_floor)
+
+    def above_by_trial(self, hypothesis: Hypothesis) -> tuple[float, float]:
+        """Return the same of the fitted and of the held-out trial."""
+        each = zip(hypothesis.by_sensor, self.samples_by_sensor, strict=True)
+        train, held_out = (above(left, expected, self.on_floor) for left, expected in each)
+        return train, held_out
 
     def beyond(self, hypothesis: Hypothesis) -> float:
-        """Return the same, at least 0."""
+        """Return chi-squared of both trials beyond its expectation, as `above` but at least 0."""
         return max(self.above(hypothesis), 0.0)
 
     def excess(self, hypothesis: Hypothesis) -> float:
@@ -205,16 +216,16 @@ class Search:
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
         """
         left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
-        out = _excess(left, expected, self.floored, None)
+        out = _excess(left, expected, self.on_floor, None)
         if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
             return out
         train, held_out = self._noise_of(hypothesis)
-        return _excess(left, expected, self.floored, train + held_out)
+        return _excess(left, expected, self.on_floor, train + held_out)
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
         """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
         each = zip(hypothesis.by_sensor, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
-        train, held_out = (_excess(left, expected, self.floored, draws) for left, expected, draws in each)
+        train, held_out = (_excess(left, expected, self.on_floor, draws) for left, expected, draws in each)
         return train, held_out
 
     def loudest_sensor(self, hypothesis: Hypothesis) -> str:
@@ -417,7 +428,7 @@ class Search:
 
 
 def _excess(
-    left: Sequence[float], expected: Sequence[float], floored: Sequence[bool], draws: np.ndarray | None
+    left: Sequence[float], expected: Sequence[float], on_floor: Sequence[bool], draws: np.ndarray | None
 ) -> float:
     """Return chi-squared (s,) beyond noise, in SD of what noise leaves: as expected, or as drawn where that is more.
 
@@ -425,10 +436,10 @@ def _excess(
     """
     total = float(sum(expected))
     # a sensor that was not recorded leaves nothing, and nothing is expected of it
-    more, sd = above(left, expected, floored), float(np.sqrt(2 * max(total, 1.0)))
+    more, sd = above(left, expected, on_floor), float(np.sqrt(2 * max(total, 1.0)))
     if draws is None or not np.isfinite(draws).all():
         return more / sd
-    drawn = np.array([above(row, expected, floored) for row in draws])
+    drawn = np.array([above(row, expected, on_floor) for row in draws])
     return float((more - max(0.0, drawn.mean())) / max(sd, drawn.std()))
 
 

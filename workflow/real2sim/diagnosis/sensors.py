@@ -27,7 +27,7 @@ def pooled(by_trial: Sequence[Sequence[float]]) -> tuple[float, ...]:
     return tuple(map(sum, zip(*by_trial, strict=True)))
 
 
-def on_floor(noise: Sequence[float], expected: Sequence[float], sd: float) -> tuple[bool, ...]:
+def are_on_floor(noise: Sequence[float], expected: Sequence[float], sd: float) -> tuple[bool, ...]:
     """Return of each sensor whether noise alone leaves ``sd`` standard deviations less than expected: its floor does.
 
     ``noise`` (s,) is the mean chi-squared of simulated noise, ``expected`` (s,) the numbers of residuals.
@@ -36,11 +36,11 @@ def on_floor(noise: Sequence[float], expected: Sequence[float], sd: float) -> tu
 
 
 def above(
-    left: Sequence[float], expected: Sequence[float], floored: Sequence[bool], share: float = 0.0
+    left: Sequence[float], expected: Sequence[float], on_floor: Sequence[bool], share: float = 0.0
 ) -> float:
     """Return chi-squared (s,) less its expectation (s,) and a ``share`` of that, which may be negative.
 
     A sensor on its floor (s,) counts where it leaves more than that, and not where it leaves less.
     """
     each = [a - (1 + share) * n for a, n in zip(left, expected, strict=True)]
-    return float(sum(max(a, 0.0) if quiet else a for a, quiet in zip(each, floored, strict=True)))
+    return float(sum(max(a, 0.0) if quiet else a for a, quiet in zip(each, on_floor, strict=True)))

@@ -150,9 +150,9 @@ class Found:
         more = self.predict_further(hypothesis, options)
         occam = hypothesis.occam - self.attribution.plain.occam + sum(f.occam for f in more)
         chi2 = (*hypothesis.chi2, *(f.chi2 for f in more))
-        own = (*hypothesis.by_sensor, *(f.sensors for f in more))
-        floored = self.pair.floored(options["search"]["pair_excess_sigma"])
-        sensors = tuple(zip(pooled(own), pooled(self.samples_by_sensor), floored, strict=True))
+        own = (*hypothesis.by_sensor, *(f.by_sensor for f in more))
+        on_floor = self.pair.on_floor(options["search"]["pair_excess_sigma"])
+        sensors = tuple(zip(pooled(own), pooled(self.samples_by_sensor), on_floor, strict=True))
         if law:
             return Candidate(tuple(law), chi2, occam, unlisted=True, sensors=sensors)
         effects, names = hypothesis.effects, hypothesis.names
@@ -286,9 +286,9 @@ def explains_fitted(found: Found, options: DiagnosisSettings) -> bool:
     """Return whether some set leaves so little of the trial that it was fitted to that `unknown` is less likely."""
     attribution, c = found.attribution, options["calibration"]
     n, plain = found.pair.samples_by_sensor[0], attribution.plain
-    floored = found.pair.floored(options["search"]["pair_excess_sigma"])
-    best = min(above(h.by_sensor[0], n, floored, c["noise_share"]) for h in (plain, *attribution.hypotheses))
-    return bool(best <= c["even_share"] * max(above(plain.by_sensor[0], n, floored), 0.0))
+    on_floor = found.pair.on_floor(options["search"]["pair_excess_sigma"])
+    best = min(above(h.by_sensor[0], n, on_floor, c["noise_share"]) for h in (plain, *attribution.hypotheses))
+    return bool(best <= c["even_share"] * max(above(plain.by_sensor[0], n, on_floor), 0.0))
 
 
 def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSettings) -> bool:
@@ -298,10 +298,10 @@ def is_shown_by_held_out_alone(pair: Pair, z: np.ndarray, options: DiagnosisSett
     """
     left = [JointResiduals(e, (), pair.system).judged(z)[0] for e in (pair.train, pair.held_out)]
     samples, sd = pair.samples_by_sensor, options["search"]["pair_excess_sigma"]
-    floored = pair.floored(sd)
-    quiet = above(left[0], samples[0], floored) < sd * np.sqrt(2 * sum(samples[0]))
+    on_floor = pair.on_floor(sd)
+    quiet = above(left[0], samples[0], on_floor) < sd * np.sqrt(2 * sum(samples[0]))
     least, count = options["search"]["questionable_probability"], sum(map(sum, samples))
-    plain = above(pooled(left), pooled(samples), floored)
+    plain = above(pooled(left), pooled(samples), on_floor)
     return bool(quiet and not is_out_of_reach(plain, count, least, options["calibration"]))
 
 

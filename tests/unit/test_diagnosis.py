@@ -224,6 +224,11 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     loud = replace(fit, chi2=(1000.0, 900.0), sensors=((990.0, 10.0), (890.0, 10.0)))
     told = parameter_verdicts(Pair(trial, trial, system), loud, 1000, CONFIG)
     assert np.diff(np.log(told[0].ci95)) > 1.15 * np.diff(np.log(rows[0].ci95))
+    # an SD that cannot be computed says nothing, and least of all that it is small
+    sd[0] = np.nan
+    lost = parameter_verdicts(pair, fit, 1000, CONFIG)
+    assert [row.verdict for row in lost[:5]] == ["not determined", *verdicts[1:]]
+    assert lost[0].ci95 == pytest.approx(np.exp([lower[0], upper[0]]))
 
 
 def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):

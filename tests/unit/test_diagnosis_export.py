@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -16,7 +17,9 @@ from real2sim.effects.base import CHAIN, NATIVE, NEUTRAL, PLANNED
 from real2sim.effects.catalogue import Placed
 from real2sim.effects.planned import DrivenForce
 from real2sim.effects.replay import EffectReplay
-from real2sim.study.diagnosis_model import effects_of, measured_law
+from real2sim.errors import InputError
+from real2sim.study import diagnosis_model
+from real2sim.study.diagnosis_model import effects_of, export_model, measured_law
 from real2sim.system.export import baked, to_mjcf
 
 from tests.unit.simulated_effects import LEVEL, SCALES, STRAP, replay
@@ -228,3 +231,50 @@ def test_a_set_of_effects_is_read_as_it_was_written():
         assert p.where == q.where
         np.testing.assert_array_equal(p.values(values[None]), q.values(values[None]))
     np.testing.assert_array_equal(np.concatenate(x), z[12:])
+
+
+@pytest.mark.parametrize("fitted", ["dynamic_1", "dynamic_2"])
+def test_the_model_is_of_the_fitted_trial_wherever_it_stands(fitted, monkeypatch, tmp_path):
+    asked = []
+
+    def evidence(answer, trial, neutral, limits, robot):
+        asked.append(trial.name)
+        return SimpleNamespace(
+            setup=SimpleNamespace(system=STRAP), scales=SCALES, replay=lambda effects, nsim: replay(effects)
+        )
+
+    monkeypatch.setattr(diagnosis_model, "diagnosed_evidence", evidence)
+    parameters = {
+        p.name: {"fitted": float(v), "with_effect": float(v), "base": float(v), "unit": p.unit}
+        for p, v in zip(STRAP.parameters, PRIOR, strict=True)
+    }
+    answer = {
+        "subject": "S01",
+        "phantom": True,
+        "train": [fitted],
+        "robot_holds": "start pose",
+        "settings": {},
+        "verdict": "none",
+        "verdict_set": ["none"],
+        "free_form": None,
+        "parameters": parameters,
+        "model": describe_model(Hypothesis((), np.log(PRIOR), (1.0, 1.0)), SCALES),
+    }
+    diagnosis, notes, out = (tmp_path / name for name in ("diagnosis.json", "model.json", "model.xml"))
+    diagnosis.write_text(json.dumps(answer))
+    given = {
+        "diagnosis": diagnosis,
+        "neutral": tmp_path / "neutral",
+        "robot": ROBOT,
+        "out": out,
+        "notes": notes,
+    }
+    given |= {"replay": tmp_path / "model_replay.csv"}
+    trials = [tmp_path / "dynamic_1", tmp_path / "dynamic_2"]
+    export_model(**given, trials=trials)
+    assert asked == [fitted]
+    assert json.loads(notes.read_text())["trial"] == fitted
+    assert f"trial {fitted}" in out.read_text()
+    others = [trial for trial in trials if trial.name != fitted]
+    with pytest.raises(InputError, match=f"found: +{fitted}\n +expected: {others[0].name}"):
+        export_model(**given, trials=others)

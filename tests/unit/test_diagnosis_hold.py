@@ -16,6 +16,7 @@ from real2sim.diagnosis.decide import Candidate, cost_of_answer, further_price
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.errors import InputError
 from real2sim.recording.noise import hold_uncertainty
 from real2sim.study import strap_evidence
 from real2sim.system.plant import impedances
@@ -196,6 +197,58 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
     found, rest = trials.search_initial_states(two)
     assert found.pair.train.settled is holds
     assert (rest.pair.train.settled if rest else None) is other
+
+
+def test_the_initial_state_is_chosen_by_sets_that_have_converged(monkeypatch):
+    """Friction whose refit was cut short left more than a tilted floor, and less once it was refitted to the end."""
+    cut_short, tilt = (3750.0, 3760.0), (3650.0, 3700.0)
+    places = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS if not e.form}
+
+    def search_pair(of, *, settled=False, complete=None):
+        name, chi2 = ("coulomb", cut_short) if settled else ("tilt", tilt)
+        own = places[name]
+        h = Hypothesis((own,), np.concatenate([np.zeros(12), own.starts()[0]]), chi2)
+        plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0), converged=True)
+        pair = SimpleNamespace(
+            train=SimpleNamespace(settled=settled),
+            samples_by_sensor=((3600,), (3600,)),
+            on_floor=lambda sd: (False,),
+        )
+        return trials.Found(pair, Attribution(plain, [h], [], (3600, 3600), None))
+
+    def finished(pair, hypothesis, settings):
+        chi2 = (3640.0, 3600.0) if hypothesis.names == ("coulomb",) else hypothesis.chi2
+        return replace(hypothesis, chi2=chi2, converged=True)
+
+    monkeypatch.setattr(trials, "search_pair", search_pair)
+    monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
+    monkeypatch.setattr(trials, "finished", finished)
+    two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
+    outcome = trials.search_both_ways(two)
+    assert outcome.found.pair.train.settled
+    assert outcome.decision.verdict == "coulomb"
+    assert not outcome.other.pair.train.settled
+
+
+@pytest.mark.parametrize("code", ["not_simulated", "no_data"])
+def test_a_second_search_that_cannot_be_simulated_leaves_the_first_one_standing(monkeypatch, code):
+    released = SimpleNamespace(pair=None, attribution=SimpleNamespace(plain=None, hypotheses=[]))
+    told = []
+
+    def search_pair(of, *, settled=False, complete=None):
+        if settled:
+            raise InputError("dynamic_2", "", "a simulation that fails", "one that ends", "correct it", code)
+        return released
+
+    monkeypatch.setattr(trials, "search_pair", search_pair)
+    monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
+    two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], told.append)
+    if code != "not_simulated":
+        with pytest.raises(InputError):
+            trials.search_initial_states(two)
+        return
+    assert trials.search_initial_states(two) == (released, None)
+    assert "a simulation that fails" in told[-1]
 
 
 def test_of_two_searches_the_one_is_taken_whose_answer_leaves_less_for_its_price():

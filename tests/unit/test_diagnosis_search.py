@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from real2sim.diagnosis import attribute as attribution_module
+from real2sim.diagnosis.answer import _baselines
 from real2sim.diagnosis.attribute import (
     _alone,
     _best_of_each,
@@ -22,7 +24,10 @@ from real2sim.diagnosis.attribute import (
     _swapped,
     _swapped_together,
     _without_spikes,
+    attribute,
+    check_simulated,
 )
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import (
     FAILED,
@@ -37,6 +42,7 @@ from real2sim.diagnosis.search import (
 )
 from real2sim.effects import catalogue
 from real2sim.effects.catalogue import Placed
+from real2sim.errors import InputError
 from real2sim.inference.least_squares import STEP, Tangent
 
 from tests.unit.simulated_effects import SCALES, STRAP, about, placed_whole
@@ -636,3 +642,67 @@ def test_neighbours_of_a_complete_set_lack_one_effect_or_hold_another_in_its_pla
     assert at == {(1,)}
     assert [h.key for h in found[:3]] == keys
     assert len(found) == 3 + 2 * CONFIG["diagnosis"]["search"]["swap_refits"]
+
+
+def test_a_sensor_that_was_not_recorded_is_not_the_loudest():
+    """The markers leave less than expected, and the robot log that is not there leaves exactly nothing."""
+    search = Search.__new__(Search)
+    trial = SimpleNamespace(sensors={"markers": 6, "robot log": 0}, samples=3600)
+    search.pair = SimpleNamespace(train=trial, held_out=trial, samples_by_sensor=((3600, 0), (3600, 0)))
+    draws = np.column_stack([np.random.default_rng(0).normal(3600, 85, 15), np.zeros(15)])
+    search._noise_of = lambda hypothesis: (draws, draws)
+    quiet = Hypothesis((), np.zeros(12), (3500.0, 3500.0), sensors=((3500.0, 0.0), (3500.0, 0.0)))
+    assert search.loudest_sensor(quiet) == "markers"
+
+
+@pytest.mark.parametrize("places", [[], ["a place of an effect that cannot be simulated"]])
+@pytest.mark.parametrize(("left", "verdict"), [((2880.0, 2880.0), NONE), ((9e4, 9e4), UNKNOWN)])
+def test_without_an_effect_to_try_the_answer_is_none_or_unknown(monkeypatch, places, left, verdict):
+    """Every effect is left out, or the simulation fails with each of them."""
+
+    class Nothing(_Stuck):
+        evaluations, pair = 0, None
+
+        def __init__(self, pair, settings):
+            super().__init__()
+
+        def fit(self, effects, start, final=False, tangent=None):
+            return Hypothesis(tuple(effects), start, left)
+
+        def screen(self, base, places):
+            return []
+
+        def above(self, hypothesis):
+            return sum(hypothesis.chi2) - 5760
+
+    monkeypatch.setattr(attribution_module, "Search", Nothing)
+    monkeypatch.setattr(attribution_module, "_without_spikes", lambda search, plain, found, everything: found)
+    options = CONFIG["diagnosis"]
+    found = attribute(
+        None, np.zeros(12), options["search"], lambda text: None, places, options["calibration"]
+    )
+    assert (found.hypotheses, found.screened) == ([], [])
+    decision = decide(Candidate((), found.plain.chi2), [], found.samples, options["calibration"])
+    assert (decision.verdict, decision.chosen) == (verdict, None)
+    wanted = next_trial(decision, options["report"]["next_trial_certain"])
+    assert (wanted is None) == (verdict == NONE)
+    assert _baselines(found) == {}
+
+
+def test_a_plain_fit_that_cannot_be_simulated_is_refused_by_the_recordings_name(monkeypatch):
+    class Failing:
+        def __init__(self, evidence, effects, system):
+            self._cost = evidence.cost
+
+        def costs(self, z):
+            return np.array([self._cost])
+
+    monkeypatch.setattr(attribution_module, "JointResiduals", Failing)
+    slow, fast = (SimpleNamespace(name=n, cost=c) for n, c in (("slow", 5.0), ("fast", np.inf)))
+    pair = Pair(slow, fast, SimpleNamespace(name="exo"))
+    failed = Hypothesis((), np.zeros(3), (FAILED, FAILED))
+    with pytest.raises(InputError, match=r"(?s)^fast\n.*simulation of exo fails.*not_simulated"):
+        check_simulated(pair, failed)
+    check_simulated(pair, replace(failed, chi2=(100.0, 100.0)))
+    # noise so small that a gross misfit leaves as much: that is a misfit, and no failure
+    check_simulated(Pair(slow, slow, pair.system), failed)

@@ -15,16 +15,19 @@ from real2sim.diagnosis.law_equations import Products
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Search
 from real2sim.diagnosis.trials import Trials
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.families import (
     POSTURE,
     RATES,
     Range,
     Variable,
+    cosine,
     families,
     polynomial,
     product,
     relaxed,
     stopped,
+    variables,
     with_rhythm,
 )
 from real2sim.effects.system_replay import SystemReplay
@@ -39,6 +42,52 @@ RANGES = {"q_ty": Range(-2.0, 1.0)}
 
 def _variable(values):
     return {"q_ty": Variable("q_ty", "m", 0.01, np.asarray(values, float))}
+
+
+def _moving_base(seconds: float, size: float) -> Context:
+    """A base that swings at half a hertz beside a person who stands, from one second on."""
+    time_s = np.arange(round(seconds * 100)) / 100
+    still, n = np.zeros((len(time_s), 6)), len(time_s)
+    swing = size * np.sin(np.pi * np.maximum(time_s - 1.0, 0))[:, None] * [1.0, 0.5, 0.0]
+    upright = np.tile(np.eye(3), (n, 1, 1))
+    measured = np.repeat(swing[:, None], 2, axis=1)
+    shapes = MarkerShapes(np.zeros((4, 3)), np.zeros((2, 3)))
+    neutral = NeutralPose(np.eye(3), np.zeros(3))
+    seen = np.ones((n, 2), bool)
+    return Context(
+        time_s,
+        time_s,
+        upright,
+        swing,
+        upright,
+        100,
+        100.0,
+        measured,
+        seen,
+        still,
+        still,
+        neutral,
+        shapes,
+        np.zeros(3),
+    )
+
+
+def test_a_coefficient_is_one_number_for_trials_of_any_length_and_speed():
+    system, ones = shipped_system("strap"), np.ones(6)
+    fitted = variables(_moving_base(12.0, 0.1), system, ones, ones, 5.0)
+    other = variables(_moving_base(20.0, 0.2), system, ones, ones, 5.0, fitted)
+    for name, faster in (("speed_x", 2.0), ("speed_y", 2.0), ("acceleration_tx", 2.0), ("time", 1.0)):
+        both = fitted[name].values, other[name].values
+        assert fitted[name].scale == other[name].scale
+        # the same seconds of both trials, away from the end of the filter
+        np.testing.assert_allclose(
+            both[1][200:900], faster * both[0][200:900], rtol=0.02, atol=0.02, err_msg=name
+        )
+    ranges = {name: Range(float(v.values.min()), float(v.values.max())) for name, v in fitted.items()}
+    drift = [polynomial("time", 1)(of, ranges, 0.01)[700] for of in (fitted, other)]
+    assert drift[1] == pytest.approx(drift[0])
+    # a history of which nothing is known has coefficients of its own in each trial, and fills it
+    assert cosine(1)(other, ranges, 0.01)[-1] == pytest.approx(-1)
 
 
 @pytest.mark.parametrize("order", [2, 3, 6, 8])

@@ -97,3 +97,24 @@ def test_a_history_of_the_held_out_trial_is_not_that_of_another(pair):
     error = third.matrix @ np.array([0.1, 0.2, 0.0]) - third.measured
     exact = error @ np.linalg.solve(spread, error) + np.linalg.slogdet(spread)[1]
     assert found.chi2 + found.occam == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_number_of_each_trial_without_a_gaussian_prior_has_a_uniform_one(pair):
+    """The clock of the held-out trial, say: of another trial's nothing is known but the bounds of the search."""
+    two, trial = pair
+    placed = SimpleNamespace(
+        effect=SimpleNamespace(parameters=[None, None]),
+        key="clock",
+        of_trial=lambda held_out: np.array([held_out, True]),
+    )
+    fit = Hypothesis((placed,), np.array([0.1, 7.0, 0.2]), (1.0, 1.0))
+    third = trial(5)
+    found = predict_further(two, fit, [third], np.inf)[0]
+    known = information(two, fit)
+    known[1], known[:, 1] = 0.0, 0.0
+    known[1, 1] = 12 / 2000.0**2
+    spread = np.eye(5) + third.matrix @ np.linalg.inv(known) @ third.matrix.T
+    error = third.matrix @ np.array([0.1, 0.0, 0.2]) - third.measured
+    exact = error @ np.linalg.solve(spread, error) + np.linalg.slogdet(spread)[1]
+    assert found.chi2 < FAILED
+    assert found.chi2 + found.occam == pytest.approx(exact, rel=1e-6)

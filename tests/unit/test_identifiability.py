@@ -8,11 +8,13 @@ from real2sim.configuration import validated
 from real2sim.inference.identifiability import (
     AT_BOUND,
     DETERMINED,
+    NORMAL_95,
     NOT_DETERMINED,
     WEAK,
     NoiseTerms,
     _judge,
     assess,
+    interval_verdict,
     long_run_covariance,
     profile_end,
 )
@@ -338,3 +340,48 @@ def test_jacobian_goes_round_a_simulation_that_fails():
     assert np.array_equal(jacobian[:, 5], np.zeros(N))
     rest = np.delete(np.arange(12), 5)
     np.testing.assert_allclose(jacobian[:, rest], whole[:, rest], rtol=1e-3, atol=1e-9)
+
+
+def test_a_parameter_whose_sd_cannot_be_computed_is_not_determined():
+    limits = {"too_wide": False, "at_bound": False, "determined_sd_ln": 0.1}
+    assert interval_verdict(0.05, 0.0, **limits) == DETERMINED
+    assert interval_verdict(np.nan, 0.0, **limits) == NOT_DETERMINED
+    assert interval_verdict(0.05, np.nan, **limits) == NOT_DETERMINED
+    assert interval_verdict(np.inf, 0.0, **limits) == NOT_DETERMINED
+
+
+def test_a_fit_beside_which_the_simulation_fails_determines_nothing():
+    columns, noise = design(np.ones(12)), 1e-3 * np.random.default_rng(1).standard_normal(N)
+    line = linear(columns, noise)
+    best = TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0]
+
+    def fails_above(parameters):
+        out = line(parameters)
+        out[np.log(parameters[:, 3]) > best[3] + SETTINGS["step_ln"] / 2] = np.nan
+        return out
+
+    found = assess(fails_above, np.exp(best), np.arange(N), BOUNDS, batch=13, rate_hz=100, settings=SETTINGS)
+    row = found["parameters"][PARAMETERS[3]]
+    assert row["verdict"] == NOT_DETERMINED
+    assert (row["ci95"], row["sd_ln"]) == ([None, None], None)
+    assert "cannot be computed" in row["reason"]
+    assert found["flat_directions"] == []
+
+
+@pytest.mark.parametrize("reach", [0.01, 0.7, 1.0])
+def test_a_profile_that_meets_a_failing_simulation_has_an_open_end(reach):
+    """The simulation fails from a ``reach`` of the interval's half width on."""
+    columns = design(np.ones(12))
+    sd = np.sqrt(np.linalg.inv(columns.T @ columns)[3, 3])
+    line = linear(columns, np.zeros(N))
+
+    def fails_above(parameters):
+        out = line(parameters)
+        out[np.log(parameters[:, 3]) > TRUTH[3] + reach * NORMAL_95 * sd] = np.nan
+        return out
+
+    problem = Residuals(fails_above, BOUNDS, 13)
+    options = {"sd": 1.05 * sd, "threshold": NORMAL_95**2, "iterations": 10}
+    assert profile_end(problem, TRUTH, 0.0, 3, 1, **options) is None
+    below = profile_end(problem, TRUTH, 0.0, 3, -1, **options)
+    assert below == pytest.approx(TRUTH[3] - NORMAL_95 * sd, rel=0.02)

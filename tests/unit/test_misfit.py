@@ -56,7 +56,7 @@ def test_a_law_is_kin_of_a_name_of_its_kind_and_axis(name, axis, kind, kin):
 
 def test_displacements_are_kin_of_what_they_are_a_case_of():
     late, drifting = (
-        next(d for d in displacements() if d.name == f"{n} markers") for n in ("late", "drifting")
+        next(d for d in displacements(10.0) if d.name == f"{n} markers") for n in ("late", "drifting")
     )
     assert is_kin(_law(late), _named("sync_offset"))
     assert not is_kin(_law(late), _named("soft_tissue"))
@@ -70,7 +70,9 @@ def test_effects_name_families_that_exist():
     names += ["place_x", "place_y", "heading", "time", *(f"acceleration_{a.name}" for a in SYSTEM.axes)]
     joints = [*(a.joint for a in SYSTEM.axes), "base_x", "base_y", "base_yaw"]
     unit = dict.fromkeys(joints, 1.0)
-    known = {f.kind for f in families(SYSTEM, names, unit, unit, 10.0)} | {d.name for d in displacements()}
+    known = {f.kind for f in families(SYSTEM, names, unit, unit, 10.0)} | {
+        d.name for d in displacements(10.0)
+    }
     unknown = {k for e in EFFECTS for k in e.kinds} - known
     assert not unknown
     # of these, in one form or all, no family holds what they do

@@ -73,3 +73,15 @@ def test_the_smallest_visible_size_is_where_it_is_sure_to_earn_what_it_needs():
     assert _crossed(sizes, np.array([500.0, 300.0, 600.0, 600.0]), needed) == pytest.approx(
         2 * 2 ** (np.log(4 / 3) / np.log(2)), rel=1e-6
     )
+
+
+def test_a_size_that_cannot_be_simulated_is_passed_over():
+    sizes, needed = np.array([1.0, 2.0, 4.0, 8.0]), np.full(4, 400.0)
+    earned = 50.0 * sizes**2
+    # the line from 200 at a size of 2 to 3200 at a size of 8 crosses 400 where that from 200 to 800 would
+    earned[2] = np.nan
+    assert _crossed(sizes, earned, needed) == pytest.approx(np.sqrt(8), rel=1e-6)
+    # one that is seen from the smallest simulated size on
+    assert _crossed(sizes, np.array([np.nan, 500.0, 600.0, np.nan]), needed) == 2.0
+    assert _crossed(sizes, np.array([5.0, 50.0, np.nan, np.nan]), needed) is None
+    assert _crossed(sizes, np.full(4, np.nan), needed) is None

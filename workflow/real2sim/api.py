@@ -21,7 +21,7 @@ from real2sim.artefacts import write_json
 from real2sim.configuration import validated
 from real2sim.diagnosis.answer import Diagnosis as Answer
 from real2sim.diagnosis.answer import answer
-from real2sim.diagnosis.attribute import candidates, plain_fit
+from real2sim.diagnosis.attribute import candidates, check_simulated, plain_fit
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.intervals import Known, parameter_verdicts
@@ -221,7 +221,7 @@ def identify(
     Raises
     ------
     InputError
-        Where recording and description do not fit together.
+        Where recording and description do not fit together, or the simulation of the plain fit fails.
     """
     options = _settings(settings)
     search = options["diagnosis"]["search"]
@@ -233,6 +233,7 @@ def identify(
     evidence = evidence.with_noise(system.values(z), draws, search["seed"])
     pair = Pair(evidence, evidence.as_held_out(), system)
     fitted = Search(pair, search).fit((), z, final=True)
+    check_simulated(pair, fitted)
     known = parameter_verdicts(pair, fitted, evidence.samples, options)
     values = system.values(fitted.base)
     return Fit(
@@ -276,7 +277,8 @@ def diagnose(
     Raises
     ------
     InputError
-        Where recordings and description do not fit together, or another model has the name ``configured``.
+        Where recordings and description do not fit together, the simulation of the plain fit fails, or another model
+        has the name ``configured``.
     """
     options, given = _settings(settings), (train, held_out, *further)
     recordings = {r.name: r for r in given}

@@ -86,7 +86,7 @@ rule diagnosis_model:
     """The diagnosed model as an MJCF for the next simulation, and what of the diagnosis is no part of it."""
     input:
         answer="results/diagnosis/{subject}/diagnosis.json",
-        train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
+        trials=lambda wildcards: explained_poses(wildcards.subject),
         neutral="results/trials/{subject}/neutral/markers.parquet",
         limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
         robot=ROBOT,
@@ -106,13 +106,13 @@ rule diagnosis_model:
         mem_mb=800,
         runtime=10,
     params:
-        train=lambda wildcards, input: Path(input.train).parent,
+        trials=lambda wildcards, input: [Path(pose).parent for pose in input.trials],
         neutral=lambda wildcards, input: Path(input.neutral).parent,
         known=lambda wildcards, input: given(limits=input.limits),
         robot=ROBOT_CONTENT,
         code=code("diagnosis-model"),
     shell:
-        "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --train {params.train:q}"
+        "python -m real2sim diagnosis-model --diagnosis {input.answer:q} --trials {params.trials:q}"
         " --neutral {params.neutral:q} {params.known:q} --robot {input.robot:q} --out {output.model:q}"
         " --notes {output.notes:q} --replay {output.replay:q} 2>&1 | tee {log:q}"
 

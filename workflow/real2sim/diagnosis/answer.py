@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,8 @@ _SCALES = ("q", "v", "k", "d", "inertia")
 class Cause:
     """An effect with some probability: where it acts, its parameters with intervals, what it closes.
 
-    ``parameters`` maps a name to value, unit and, where it has one, ``ci95``. ``closed`` holds the share of the
+    ``axes`` and ``parameters`` are those of all places where its set has it; ``parameters`` maps a name to value, unit
+    and, where it has one, ``ci95``. ``stage`` is that of its first place. ``closed`` holds the share of the
     closable gap that it closes on the trial that shows the gap, with a block-bootstrap interval (None where the plain
     cost shows no gap; empty where it was not simulated). ``robot_holds`` is
     set where its values are those of the other initial state.
@@ -212,7 +214,8 @@ def answer(
     named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
     if other is not None:
         under_other = conclude(other, options)
-        otherwise = _otherwise(other, under_other)
+        fitted_second = found.pair.exchanged or outcome.the_other_way
+        otherwise = _otherwise(other, under_other, reverse=other.pair.exchanged != fitted_second)
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
             share = share_of_other(costs, options["calibration"])
@@ -221,10 +224,12 @@ def answer(
     if machines:
         decision = with_others(decision, machines, options, named)
     progress(f"verdict {decision.verdict}")
-    account = _Account(found, decision, settings, configured(machines))
+    account = _Account(found, decision, settings, _configured(machines, found.pair))
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:
-        result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged))
+        # averaging over initial states and machines scales the probability of every set by this
+        kept = float(decision.sets.sum() / own.sets.sum())
+        result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged, kept))
     result = account.with_more(result, misfit, measured, progress, imagine)
     result = replace(result, beyond=replace(result.beyond, machine=describe_machines(machines, options)))
     if not share or other is None:
@@ -298,22 +303,37 @@ def _of_both_states(
     return sorted([*kept, *taken.values()], key=lambda c: -c.probability)
 
 
-def _otherwise(found: Found, decision: Decision) -> dict[str, Any]:
-    """Return the answer under the other initial-state hypothesis."""
+def _otherwise(found: Found, decision: Decision, *, reverse: bool) -> dict[str, Any]:
+    """Return the answer under the other initial-state hypothesis, with its pairs of trials in reverse where asked."""
     attribution = found.attribution
+    pairs = {"chi2_best": chosen(attribution, decision).chi2, "chi2_expected": attribution.samples}
     return {
         "robot_holds": found.initial_state,
         "verdict": decision.verdict,
         "verdict_set": _verdict_set(attribution, decision),
         "probability": decision.probabilities[decision.verdict],
-        "chi2_best": list(chosen(attribution, decision).chi2),
-        "chi2_expected": list(attribution.samples),
-    }
+    } | {key: list(pair[::-1] if reverse else pair) for key, pair in pairs.items()}
 
 
 def _verdict_set(attribution: Attribution, decision: Decision) -> list[str]:
     """Effects of the set that the verdict rests on, or `none` or `unknown`."""
     return list(chosen(attribution, decision).names) or [decision.verdict]
+
+
+def _configured(machines: Sequence[Machine], pair: Pair) -> Machine | None:
+    """Return the configured machine where another one is likelier, with its trials in the order of that one's ``pair``.
+
+    The trials may have changed places with one machine and not with the other.
+    """
+    machine = configured(machines)
+    if machine is None:
+        return None
+    own, plain = machine.pair, machine.plain
+    if machine.trials != machines[0].trials:
+        own = replace(own, train=own.held_out, held_out=own.train)
+        plain = replace(plain, chi2=plain.chi2[::-1], j=plain.j[::-1], sensors=plain.sensors[::-1])
+    own = replace(own, exchanged=pair.exchanged)
+    return replace(machine, trials=machines[0].trials, pair=own, plain=plain)
 
 
 def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
@@ -328,7 +348,7 @@ class _Account:
 
     def __init__(self, found: Found, decision: Decision, settings: Settings, before: Machine | None = None):
         # the gap is that of the machine that the study is configured with
-        self._before, self._before_pair = found.attribution.plain, found.pair
+        self._before, self._before_pair, self._machine = found.attribution.plain, found.pair, before
         if before is not None:
             self._before, self._before_pair = before.plain, before.pair
         self._found, self._decision, self._settings = found, decision, settings
@@ -364,8 +384,13 @@ class _Account:
 
     def _further(self) -> list[dict[str, Any]]:
         """Return chi-squared of plain plant and answer for each further trial, numbers moved as far as is known."""
+        if not self._found.further:
+            return []
         options = self._settings["diagnosis"]
-        plain, best = (self._found.predict_further(h, options) for h in (self._attribution.plain, self._best))
+        # with further trials every machine was searched
+        of_plain = self._found if self._machine is None else self._machine.searched.found
+        plain = of_plain.predict_further(of_plain.attribution.plain, options)
+        best = self._found.predict_further(self._best, options)
         return [
             {"chi2_plain": a.chi2, "chi2_best": b.chi2, "chi2_expected": evidence.samples}
             for a, b, evidence in zip(plain, best, self._found.further, strict=True)
@@ -444,50 +469,46 @@ class _Account:
         }
 
     def causes(self) -> list[Cause]:
-        """Every effect with some probability: its best set, what it closes, its parameters with intervals.
+        """Return effects with some probability, likeliest first, each as in the likeliest set that holds it.
 
-        What has hardly any probability gets no intervals.
+        Effects of the named set are always among them. What has hardly any probability gets no intervals.
         """
         least, most = self._report["interval_probability"], self._report["detailed_causes"]
-        out: list[Cause] = []
-        seen: set[str] = set()
+        best: dict[str, Hypothesis] = {}
         for index in np.argsort(-self._decision.sets):
             hypothesis = self._attribution.hypotheses[index]
-            for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
-                name = placed.effect.name
-                told = self._decision.probabilities[name] >= least
-                if name in seen or (not told and len(out) >= most):
-                    continue
-                seen.add(name)
-                out.append(self._cause(hypothesis, placed, x, detailed=len(out) < most, told=told))
+            for name in hypothesis.names:
+                best.setdefault(name, hypothesis)
+        out: list[Cause] = []
+        for rank, name in enumerate(sorted(best, key=lambda n: -self._decision.probabilities[n])):
+            told = self._decision.probabilities[name] >= least
+            detailed = rank < most or name in self._best.names
+            if told or detailed:
+                out.append(self._cause(best[name], name, detailed=detailed, told=told))
         return out
 
-    def _cause(
-        self, hypothesis: Hypothesis, placed: Placed, x: np.ndarray, *, detailed: bool, told: bool
-    ) -> Cause:
-        name, pair = placed.effect.name, self._pair
-        parameters: dict[str, dict[str, Any]] = {
-            k: {"value": v, "unit": u} for k, (v, u) in placed.named(x).items()
-        }
+    def _cause(self, hypothesis: Hypothesis, name: str, *, detailed: bool, told: bool) -> Cause:
+        pair, members = self._pair, _members(hypothesis, name)
+        first = members[0][0].effect
         cause = Cause(
             name,
             self._decision.probabilities[name],
-            placed.axes,
-            placed.effect.stage,
-            placed.effect.equation,
+            list(dict.fromkeys(axis for placed, _ in members for axis in placed.axes)),
+            first.stage,
+            "; ".join(dict.fromkeys(placed.effect.equation for placed, _ in members)),
             [n for n in hypothesis.names if n != name],
-            placed.effect.group,
-            parameters,
+            first.group,
+            {key: entry for _, parameters in members for key, entry in parameters.items()},
         )
         if not detailed:
             return cause
         path = simulate(pair.held_out, pair, hypothesis)
         shown_path = simulate(pair.shown, pair, hypothesis) if pair.exchanged else path
         if told:
-            for entry, ends in zip(
-                parameters.values(), effect_intervals(pair, hypothesis, placed), strict=True
-            ):
-                entry["ci95"] = list(ends)
+            for placed, parameters in members:
+                intervals = effect_intervals(pair, hypothesis, placed)
+                for entry, ends in zip(parameters.values(), intervals, strict=True):
+                    entry["ci95"] = list(ends)
         return replace(
             cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
         )
@@ -569,6 +590,29 @@ class _Account:
         return {"gap_closed": (base - j) / gap, "gap_closed_ci95": [low / gap, high / gap]}
 
 
+def _members(hypothesis: Hypothesis, name: str) -> list[tuple[Placed, dict[str, dict[str, Any]]]]:
+    """Return the effects of one name in a set, each with its parameters: ``value`` and ``unit`` by name.
+
+    The names differ between the effects: where they say no place, that place or the form is put before the unit.
+    """
+    own = [
+        (placed, placed.named(x))
+        for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True)
+        if placed.effect.name == name
+    ]
+    count = Counter(key for _, named in own for key in named)
+    out: list[tuple[Placed, dict[str, dict[str, Any]]]] = []
+    for placed, named in own:
+        tag = placed.where.tag.strip("_")
+        entries = {}
+        for parameter, (key, (value, unit)) in zip(placed.effect.parameters, named.items(), strict=True):
+            shared = count[key] > 1 and tag
+            unique = f"{parameter.name}_{tag}{key.removeprefix(parameter.name)}" if shared else key
+            entries[unique] = {"value": value, "unit": unit}
+        out.append((placed, entries))
+    return out
+
+
 def _stages(attribution: Attribution, decision: Decision) -> dict[str, float]:
     """Probability of each stage: of its effects, each where its likeliest form and place act.
 
@@ -606,14 +650,18 @@ def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[s
     }
 
 
-def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool) -> dict[str, Any]:
-    """The measured law that competed with the names, as an entry of ``considered`` without effects."""
+def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool, kept: float) -> dict[str, Any]:
+    """Return the measured law that competed with the names, as an entry of ``considered`` without effects.
+
+    ``kept`` is the factor by which averaging over initial states and machines scales the probability of every set.
+    """
     assert misfit.measured is not None
+    assert misfit.rival is not None
     law = misfit.measured.laws[0]
     return (
         {"effects": [], "places": [family.key for family in law.families]}
         | _left_by(law.hypothesis, attribution, exchanged)
-        | {"probability": misfit.rival}
+        | {"probability": kept * misfit.rival}
     )
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from real2sim.diagnosis.decide import further_price, is_out_of_reach
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import Hypothesis, PlainResiduals
-from real2sim.diagnosis.search import Pair, Screened, Search, conflict
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, PlainResiduals
+from real2sim.diagnosis.search import FAILED, Pair, Screened, Search, conflict
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, are_confusable
 from real2sim.errors import InputError
@@ -81,7 +81,13 @@ def without_names(places: Iterable[Placed], left_out: Iterable[str]) -> list[Pla
 def plain_fit(
     evidence: Evidence, system: System, start: np.ndarray, settings: DiagnosisSearchSettings
 ) -> np.ndarray:
-    """Return searched parameters (n,) of the plain plant by the plain cost, from ``start`` and from drawn points."""
+    """Return searched parameters (n,) of the plain plant by the plain cost, from ``start`` and from drawn points.
+
+    Raises
+    ------
+    InputError
+        Naming the recording, where it can be simulated from none of them.
+    """
     problem = PlainResiduals(evidence, system)
     rng = np.random.default_rng(settings["seed"])
     drawn = (rng.uniform(problem.lower, problem.upper) for _ in range(settings["screen"]))
@@ -89,7 +95,36 @@ def plain_fit(
     first = [_plainly(problem, point, settings, settings["first_iterations"]) for point in (start, *drawn)]
     first.sort(key=lambda found: found[1])
     finished = [_plainly(problem, z, settings, settings["iterations"]) for z, _ in first[:2]]
-    return min(finished, key=lambda found: found[1])[0]
+    z, cost = min(finished, key=lambda found: found[1])
+    if not np.isfinite(cost):
+        raise _unsimulated(evidence, system)
+    return z
+
+
+def check_simulated(pair: Pair, plain: Hypothesis) -> None:
+    """Refuse a pair of which the plain fit cannot be simulated: nothing can be said of its parameters or of effects.
+
+    Raises
+    ------
+    InputError
+        Naming the recording whose simulation fails.
+    """
+    if plain.chi2[0] < FAILED:
+        return
+    for evidence in (pair.train, pair.held_out):
+        if not np.isfinite(JointResiduals(evidence, (), pair.system).costs(plain.z[None])[0]):
+            raise _unsimulated(evidence, pair.system)
+
+
+def _unsimulated(evidence: Evidence, system: System) -> InputError:
+    return InputError(
+        evidence.name,
+        "",
+        f"a recording on which the simulation of {system.name} fails at the parameters of the plain fit",
+        "a simulation that ends, with finite positions, for some parameters within their bounds",
+        "Check the driving columns for jumps and wrong units, then the bounds of the parameters and the time step.",
+        "not_simulated",
+    )
 
 
 def _plainly(
@@ -132,9 +167,16 @@ def attribute(
     are the effects to try, everything everywhere by default. With ``calibration`` (``diagnosis.calibration``), no other
     effect is looked for where less is left than the decision asks of one: only more axes of the same.
     ``complete`` is a set that leaves nothing but noise under another initial state: only its neighbours are tried.
+    Without an effect that can be tried, there are no hypotheses beside the plain fit.
+
+    Raises
+    ------
+    InputError
+        Naming the recording, where the plain fit cannot be simulated.
     """
     search = Search(pair, settings)
     plain = search.fit((), start, final=True)
+    check_simulated(pair, plain)
     count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
     everything = candidates(pair.system, pair.train.scales) if places is None else list(places)
@@ -148,30 +190,47 @@ def attribute(
     least = settings["questionable_probability"]
     quiet = calibration is not None and is_out_of_reach(search.above(plain), sum(count), least, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
-    hypotheses = _other_forms(search, hypotheses, singles, plain)
-    if not quiet:
-        hypotheses = _other_laws(search, hypotheses, everything, settings)
-        hypotheses = _redrawn(search, hypotheses, everything, settings)
-    hypotheses = _with_best_converged(search, plain, hypotheses, settings)
-    excess = search.excess(hypotheses[0])
-    progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
-    if excess > settings["pair_excess_sigma"]:
-        left = search.beyond(hypotheses[0])
-        others = calibration is None or left > further_price(calibration)
-        more, promising = _pairs(search, plain, singles, hypotheses, everything, settings, others=others)
-        # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
-        near = bool(more) and _earned(search, hypotheses[0], more[0]) >= settings["grow_share"]
-        hypotheses += more
-        if near:
-            hypotheses += _swapped(search, hypotheses, everything, settings)
-            grown = _grow(search, hypotheses, promising, everything, settings, progress)
-            hypotheses += grown
-            if min(sum(h.chi2) for h in hypotheses) in {sum(h.chi2) for h in grown}:
-                hypotheses += _swapped(search, hypotheses, everything, settings)
-            hypotheses += _swapped_together(search, hypotheses, everything)
-        hypotheses = _best_of_each(hypotheses + _pruned(search, hypotheses))
+    if hypotheses:
+        hypotheses = _other_forms(search, hypotheses, singles, plain)
+        if not quiet:
+            hypotheses = _other_laws(search, hypotheses, everything, settings)
+            hypotheses = _redrawn(search, hypotheses, everything, settings)
+        hypotheses = _with_best_converged(search, plain, hypotheses, settings)
+        excess = search.excess(hypotheses[0])
+        progress(f"{hypotheses[0].key} leaves {excess:.1f} sigma")
+        if excess > settings["pair_excess_sigma"]:
+            others = calibration is None or search.beyond(hypotheses[0]) > further_price(calibration)
+            hypotheses = _several(
+                search, plain, singles, hypotheses, everything, settings, progress, others=others
+            )
     hypotheses = _without_spikes(search, plain, hypotheses, everything)
     return Attribution(plain, hypotheses, listed, count, search.pair, search.evaluations)
+
+
+def _several(
+    search: Search,
+    plain: Hypothesis,
+    singles: Sequence[Screened],
+    found: list[Hypothesis],
+    everything: Sequence[Placed],
+    settings: DiagnosisSearchSettings,
+    progress: Callable[[str], None],
+    *,
+    others: bool,
+) -> list[Hypothesis]:
+    """Return the single effects ``found`` (best first) with pairs and larger sets; ``others``: see `_pairs`."""
+    more, promising = _pairs(search, plain, singles, found, everything, settings, others=others)
+    # where no second effect earns its share, nothing of the catalogue comes near what lies beneath
+    near = bool(more) and _earned(search, found[0], more[0]) >= settings["grow_share"]
+    out = [*found, *more]
+    if near:
+        out += _swapped(search, out, everything, settings)
+        grown = _grow(search, out, promising, everything, settings, progress)
+        out += grown
+        if min(sum(h.chi2) for h in out) in {sum(h.chi2) for h in grown}:
+            out += _swapped(search, out, everything, settings)
+        out += _swapped_together(search, out, everything)
+    return _best_of_each(out + _pruned(search, out))
 
 
 def _neighbours(
@@ -286,7 +345,8 @@ def _alone(
     """Refits of single effects, best first; those that cannot be the answer any more are left out.
 
     Rivals of an effect that explains everything are tried whatever they promise: they are what it is mistaken for.
-    Where the plain fit is ``quiet``, no cause could earn its place: a few refits say what is next best.
+    Where the plain fit is ``quiet``, no cause could earn its place: a few refits say what is next best. Empty where
+    nothing is on the shortlist.
     """
     if quiet:
         shortlist = shortlist[: settings["quiet_refits"]]
@@ -301,6 +361,8 @@ def _alone(
         ):
             continue
         found.append(_single(search, screened, plain))
+    if not found:
+        return []
     return sorted(_beside_best(search, found), key=lambda h: sum(h.chi2))
 
 
@@ -419,7 +481,9 @@ def _single(search: Search, screened: Screened, plain: Hypothesis) -> Hypothesis
 
 
 def _shortlist(screened: Sequence[Screened], settings: DiagnosisSearchSettings) -> list[Screened]:
-    """The best places of every effect that promises anything, up to a number of refits."""
+    """Return the best places of every effect that promises anything, up to a number of refits."""
+    if not screened:
+        return []
     taken: dict[str, int] = {}
     first: list[Screened] = []
     rest: list[Screened] = []

@@ -423,7 +423,7 @@ def next_trial(decision: Decision, certain: float) -> str | None:
     """
     top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
     # the probability of a set of effects is shared out between them
-    if decision.verdict != UNKNOWN and max(top[0][1], *decision.sets) >= certain:
+    if decision.verdict != UNKNOWN and max([top[0][1], *decision.sets]) >= certain:
         return None
     for name, _ in top:
         for effect in EFFECTS:

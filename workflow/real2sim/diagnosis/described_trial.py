@@ -73,7 +73,7 @@ class DescribedTrial:
         self._rate = recording.rate_hz
         self._cutoff = min(system.band_hz, 0.4 * self._rate)
         self._levels = quiet if quiet is not None else recording
-        self._logs = {j: recording.columns[c] for j, c in log_columns(system).items()}
+        self._logs = {j: _bridged(recording.columns[c]) for j, c in log_columns(system).items()}
         self._pose = system.drive.by == POSE
         self._start = self._start_samples()
         self._anchor = self._anchor_of() if self._pose else None
@@ -212,10 +212,10 @@ class DescribedTrial:
         self._raw = dict(self._logs)
         for output in self._system.outputs:
             if output.quantity == "position":
-                self._raw[output.joint] = self._recording.columns[output.column]
+                self._raw[output.joint] = _bridged(self._recording.columns[output.column])
         if self._system.drive.by == PATH:
             for joint, column in self._system.drive.columns.items():
-                self._raw[joint] = self._recording.columns[column]
+                self._raw[joint] = _bridged(self._recording.columns[column])
         known = {j: self._lowpass(v[:, None])[:, 0] for j, v in self._raw.items()}
         if self._pose:
             known |= self._solved(known)
@@ -276,7 +276,8 @@ class DescribedTrial:
         for joint, value in position.items():
             start[model.joint(joint).qposadr[0]] = value
         first = slice(0, self._start)
-        markers = self._recording.markers(self._system.markers.interface)[first].mean(axis=0)
+        seen = self._recording.markers(self._system.markers.interface)
+        markers = signals.bridged(seen.reshape(len(seen), -1)).reshape(seen.shape)[first].mean(axis=0)
         logged = {j: float(v[first].mean()) for j, v in self._logs.items()}
         solved = self._solver.solve(Sample(logged, segment.rotation[0], segment.position[0], markers), start)
         return {model.joint(j).name: float(solved[model.jnt_qposadr[j]]) for j in range(model.njnt)}
@@ -331,21 +332,19 @@ class DescribedTrial:
 
         A low-pass reflects a record at its ends: of one that ends in motion it bends the acceleration there.
         """
-        time_s, columns = self._recording.time_s, self._standing_still(columns)
+        time_s, columns = self._recording.time_s, signals.bridged(self._standing_still(columns))
         spans = round((time_s[-1] - time_s[0]) * 2 * self._cutoff)
         if spans >= len(time_s) - _DEGREE:
             return make_interp_spline(time_s, columns, k=_DEGREE)
         inner = np.linspace(time_s[0], time_s[-1], max(spans, 1) + 1)
         knots = np.concatenate([[inner[0]] * _DEGREE, inner, [inner[-1]] * _DEGREE])
-        return make_lsq_spline(time_s, signals.bridged(columns), knots, k=_DEGREE)
+        return make_lsq_spline(time_s, columns, knots, k=_DEGREE)
 
     def _forces(self, steps: np.ndarray, h: float, columns: np.ndarray) -> np.ndarray:
         """Mean force (nstep, c) over a step about each of ``steps`` (nstep,) [s]: rates live half a step late."""
-        time_s = self._recording.time_s
+        time_s, columns = self._recording.time_s, signals.bridged(columns)
         if not self._system.drive.held:
-            return signals.upsampled(signals.bridged(columns), round(self._recording.step_s / h))[
-                : len(steps)
-            ]
+            return signals.upsampled(columns, round(self._recording.step_s / h))[: len(steps)]
         edges = np.append(time_s, time_s[-1] + self._recording.step_s)
         out = []
         for column in columns.T:
@@ -419,7 +418,13 @@ class DescribedTrial:
         scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace, *self._load)
         context = self._context(measured, q, v)
         return SystemEvidence(
-            measured, simulated, context, scales, self._settings, self._starts_in_equilibrium
+            measured,
+            simulated,
+            context,
+            scales,
+            self._settings,
+            self._starts_in_equilibrium,
+            name=self._recording.name,
         )
 
     def _measured(self) -> Measured:
@@ -590,6 +595,11 @@ class DescribedTrial:
             MarkerShapes(shape, np.zeros((2, 3))),
             np.zeros(3),
         )
+
+
+def _bridged(column: np.ndarray) -> np.ndarray:
+    """Return a column (n,) with unknown samples bridged by a straight line."""
+    return signals.bridged(column[:, None])[:, 0]
 
 
 def _large(values: np.ndarray) -> np.ndarray:

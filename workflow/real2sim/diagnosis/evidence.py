@@ -58,6 +58,10 @@ class Evidence(Protocol):
     """One trial, as the search and the judgement see it."""
 
     @property
+    def name(self) -> str:
+        """Name of the recording, for messages."""
+
+    @property
     def samples(self) -> int:
         """Number of whitened residuals."""
 

@@ -64,6 +64,7 @@ class Library:
         self.system, self._scales, self._band = system, scales, band_share * system.band_hz
         self.contexts = (pair.train.context, pair.held_out.context)
         self._known: dict[int, tuple[np.ndarray, dict[str, Variable], dict[str, np.ndarray]]] = {}
+        self.template: dict[str, Variable] = {}
         own = self.variables(pair.train.context)
         self.template = own
         self.ranges = {n: Range(float(v.values.min()), float(v.values.max())) for n, v in own.items()}
@@ -75,9 +76,13 @@ class Library:
             self.force[joint] = float(np.mean(alike)) if alike else 1.0
         # markers on a bar, and an interface whose rotation they show
         pose = {"pose", "bar", "base"} <= system.offers
-        longest = max(self.variables(e.context)["time"].scale for e in (pair.train, pair.held_out))
-        forces = families.families(system, list(own), self.force, q, longest)
-        self._take(forces, displacements() if pose else [])
+        forces = families.families(system, list(own), self.force, q, self.longest_s)
+        self._take(forces, displacements(own["time"].scale) if pose else [])
+
+    @property
+    def longest_s(self) -> float:
+        """Duration [s] of the longer trial."""
+        return max(float(families.passed_s(context)[-1]) for context in self.contexts)
 
     def _take(self, forces: Sequence[Family], moved: Sequence[Displacement]) -> None:
         """Hold these families, and their basis functions, each once per joint."""
@@ -86,14 +91,15 @@ class Library:
         self._joints = list(dict.fromkeys(t.joint for t in self.terms.values()))
 
     def variables(self, context: Context) -> dict[str, Variable]:
-        """Return the variables of a trial."""
+        """Return the variables of a trial, in the units of the fitted one."""
         return self._of(context)[0]
 
     def _of(self, context: Context) -> tuple[dict[str, Variable], dict[str, np.ndarray]]:
         """Variables of a trial, and what has been made of them by the name of the term."""
         path = context.coordinates
         if id(path) not in self._known:
-            made = families.variables(context, self.system, self._scales.q, self._scales.v, self._band)
+            scales = self._scales
+            made = families.variables(context, self.system, scales.q, scales.v, self._band, self.template)
             # the path is held too, or another one could take its place in memory
             self._known[id(path)] = path, made, {}
         return self._known[id(path)][1:]
@@ -476,8 +482,7 @@ def _rhythms(
     cosines = [Term(f"cos({k} pi time)", joint, cosine(k)) for k in range(first, first + len(parent.terms))]
     of_trial = [np.linalg.pinv(library.signals(cosines, context).T) for context in library.contexts]
     alone = [trial.products(parent) for trial in tangent.trials]
-    longest = max(float(library.variables(c)["time"].scale) for c in library.contexts)
-    for hz in np.arange(_SLOWEST_HZ, FASTEST_HZ - _SLOWEST_HZ, 1 / (_PER_TURN * longest)):
+    for hz in np.arange(_SLOWEST_HZ, FASTEST_HZ - _SLOWEST_HZ, 1 / (_PER_TURN * library.longest_s)):
         family = with_rhythm(parent, float(hz))
         turns = [replace(row[0], basis=b) for row, b in zip(family.terms, _sines(float(hz)), strict=True)]
         parts = []

@@ -65,7 +65,7 @@ def predict_further(
         r, jacobian = r[: evidence.samples], jacobian[: evidence.samples]
         moved[own] = 0.0
         known[own], known[:, own] = 0.0, 0.0
-        known[own, own] = 1 / problem.prior_sd[own] ** 2
+        known[own, own] = 1 / _prior_sd(problem)[own] ** 2
         if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
             out.append(Predicted(failed(len(evidence.sensors)), 0.0))
             continue
@@ -85,6 +85,12 @@ def predict_further(
         out.append(Predicted(tuple(left), moved_by))
         known, moved = more, moved + step
     return out
+
+
+def _prior_sd(problem: JointResiduals) -> np.ndarray:
+    """Return the prior SD (n + p,) of the searched numbers: of the uniform distribution where no Gaussian is given."""
+    uniform = (problem.upper - problem.lower) / np.sqrt(12)
+    return np.where(np.isfinite(problem.prior_sd), problem.prior_sd, uniform)
 
 
 def _of_each_trial(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:

@@ -32,14 +32,15 @@ def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, setting
 
     ``unbiased`` is the fitted value, less its bias by noise of the drive (``bias_ln``) where that is more than its SD
     and the rest is known. The interval, cut at the search's bounds, is about the point without the bias. What the fit
-    leaves beyond noise, of ``samples`` residuals of the fitted trial, widens it. ``settings`` are the slices
-    ``diagnosis`` and ``identifiability``.
+    leaves beyond noise, of ``samples`` residuals of the fitted trial, widens it. A parameter whose SD cannot be
+    computed is not determined, and its interval is the range of the search. ``settings`` are the slices ``diagnosis``
+    and ``identifiability``.
     """
     options, limits = settings["diagnosis"], settings["identifiability"]
     point, covariance = corrected(pair, hypothesis, Correction.from_options(options["search"]))
     n = len(hypothesis.base)
     excess = 1 + max(Search(pair, options["search"]).above_by_trial(hypothesis)[0], 0.0) / samples
-    sd = np.hypot(np.sqrt(np.diag(covariance)[:n] * excess), options["report"]["plant_sd_ln"])
+    sd = np.hypot(np.sqrt(_variances(covariance)[:n] * excess), options["report"]["plant_sd_ln"])
     bias = hypothesis.base - point[:n]
     lower, upper = pair.system.bounds()
     out = []
@@ -71,12 +72,18 @@ def effect_intervals(pair: Pair, hypothesis: Hypothesis, placed: Placed) -> list
             break
         first += len(other.effect.parameters)
     own = slice(first, first + len(placed.effect.parameters))
-    sd = np.sqrt(np.diag(covariance)[own])
+    sd = np.sqrt(_variances(covariance)[own])
     x = hypothesis.z[own]
     lower, upper = placed.bounds()
     low = placed.values(np.clip(x - 1.96 * sd, lower, upper)[None])[0]
     high = placed.values(np.clip(x + 1.96 * sd, lower, upper)[None])[0]
     return [(float(min(a, b)), float(max(a, b))) for a, b in zip(low, high, strict=True)]
+
+
+def _variances(covariance: np.ndarray) -> np.ndarray:
+    """Return the diagonal (n,) of a covariance (n, n), infinite where it is negative or not finite."""
+    variance = np.diag(covariance)
+    return np.where(np.isfinite(variance) & (variance >= 0), variance, np.inf)
 
 
 def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:

@@ -229,12 +229,12 @@ class Search:
         return train, held_out
 
     def loudest_sensor(self, hypothesis: Hypothesis) -> str:
-        """Return the name of the sensor whose `excess` is the largest."""
+        """Return the name of the sensor whose `excess` is the largest, of those that were recorded."""
         left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
         train, held_out = self._noise_of(hypothesis)
-        each = zip(left, expected, (train + held_out).T, strict=True)
-        excess = [_excess([a], [n], [False], draws[:, None]) for a, n, draws in each]
-        return list(self.pair.train.sensors)[int(np.argmax(excess))]
+        each = zip(self.pair.train.sensors, left, expected, (train + held_out).T, strict=True)
+        excess = {name: _excess([a], [n], [False], draws[:, None]) for name, a, n, draws in each if n > 0}
+        return max(excess, key=lambda name: excess[name])
 
     def _noise_of(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
         """Chi-squared (draws, sensors) of noise alone of both trials where the hypothesis is the truth."""

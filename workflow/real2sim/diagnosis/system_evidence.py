@@ -88,7 +88,10 @@ class Simulated:
 
 @dataclass(frozen=True)
 class SystemEvidence:
-    """One trial of a described system, see `Evidence`; ``settings`` is the slice ``diagnosis.described``."""
+    """One trial of a described system, see `Evidence`; ``settings`` is the slice ``diagnosis.described``.
+
+    ``name`` is that of the recording.
+    """
 
     measured: Measured
     simulated: Simulated
@@ -99,6 +102,7 @@ class SystemEvidence:
     held_out: bool = False
     whitening: Whitening | None = None
     cache: dict[Any, np.ndarray] = field(default_factory=dict, repr=False)
+    name: str = ""
 
     @cached_property
     def cost(self) -> ChannelCost:

@@ -37,6 +37,7 @@ from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search, samples_by_sensor
 from real2sim.diagnosis.sensors import above, pooled
 from real2sim.effects.catalogue import Placed
+from real2sim.errors import InputError
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -235,8 +236,8 @@ def search_pair(trials: Trials, *, settled: bool = False, complete: Hypothesis |
 def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
     """As `search_pair`, for a machine that is released, and once more for one in equilibrium where it `looks_settled`.
 
-    First what leaves less for its price, then the other, where both were searched. Where a lab knows how its machine
-    was held (``diagnosis.robot_holds``) that alone is searched.
+    First what leaves less for its price once it has converged, then the other, where both were searched. Where a lab
+    knows how its machine was held (``diagnosis.robot_holds``) that alone is searched.
     """
     options = trials.options
     if options["robot_holds"] == BALANCE:
@@ -251,8 +252,24 @@ def search_initial_states(trials: Trials) -> tuple[Found, Found | None]:
     if complete is not None:
         how = f"{complete.key} and its neighbours are tried there"
     trials.progress(f"the robot may have been at rest against the strap: {how}")
-    settled = search_pair(trials, settled=True, complete=complete)
+    settled = _if_simulated(lambda: search_pair(trials, settled=True, complete=complete), trials)
+    if settled is None:
+        return released, None
+    # a refit that was cut short has not left what it would: which state is likelier is asked of what has converged
+    for found in (settled, released):
+        conclude(found, options)
     return (settled, released) if settled.cost(options) < released.cost(options) else (released, settled)
+
+
+def _if_simulated(search: Callable[[], Found], trials: Trials) -> Found | None:
+    """Return what a second search finds; None where its plain fit cannot be simulated, so that the first one stands."""
+    try:
+        return search()
+    except InputError as error:
+        if error.code != "not_simulated":
+            raise
+        trials.progress(f"not searched so: {error.found}")
+        return None
 
 
 def _complete(found: Found, options: DiagnosisSettings) -> Hypothesis | None:
@@ -275,9 +292,10 @@ def search_both_ways(trials: Trials) -> Outcome:
     trials.progress(
         f"nothing fitted to {trials.train} explains {trials.held_out}: searched once more the other way"
     )
-    again = trials.attribute(*trials.exchanged.prepare(settled=found.pair.train.settled))
-    second = conclude(again, trials.options)
-    if second.chosen is None:
+    settled = found.pair.train.settled
+    again = _if_simulated(lambda: trials.attribute(*trials.exchanged.prepare(settled=settled)), trials)
+    second = None if again is None else conclude(again, trials.options)
+    if again is None or second is None or second.chosen is None:
         return Outcome(found, decision, other, False)
     return Outcome(again, second, other, True)
 

@@ -157,16 +157,22 @@ def _occam(placed: Placed, index: int, x: np.ndarray, earned: np.ndarray) -> np.
 
 
 def _crossed(sizes: np.ndarray, sure: np.ndarray, needed: np.ndarray) -> float | None:
-    """Smallest size from which on what is surely earned stays above what is needed, by straight lines of logarithms."""
-    enough = np.isfinite(sure) & (sure >= needed)
+    """Return the smallest of ``sizes`` (s,) from which on ``sure`` (s,) stays above ``needed`` (s,); None without one.
+
+    Sizes between those simulated are interpolated by straight lines of logarithms. A size whose simulation failed
+    (``sure`` is NaN) is passed over.
+    """
+    simulated = np.isfinite(sure)
+    sizes, sure, needed = (values[simulated] for values in (np.abs(sizes), sure, needed))
+    enough = sure >= needed
     if not enough.any():
         return None
-    last_short = np.flatnonzero(~enough & np.isfinite(sure))
+    last_short = np.flatnonzero(~enough)
     before = last_short[last_short < np.flatnonzero(enough)[-1]]
     if not len(before):
-        return float(abs(sizes[0]))
+        return float(sizes[0])
     i = int(before[-1])
     low, high = (np.log(max(sure[k], 1e-3)) - np.log(needed[k]) for k in (i, i + 1))
     share = -low / max(high - low, 1e-12)
-    a, b = np.log(abs(sizes[i])), np.log(abs(sizes[i + 1]))
+    a, b = np.log(sizes[i]), np.log(sizes[i + 1])
     return float(np.exp(a + np.clip(share, 0, 1) * (b - a)))

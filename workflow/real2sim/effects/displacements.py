@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from real2sim import signals
 from real2sim.effects.base import AtRest, Effect, EffectParameter
 from real2sim.effects.chains import Chains, Context
+from real2sim.effects.families import passed_s
 
 # One unit of a coefficient: a lag of 10 ms and what its square and cube are, a displacement of 5 mm, a turn of 0.02 rad
 _LAG_S = 0.01
@@ -74,12 +76,15 @@ _TRAILS = _TURNED + tuple(f"{term} relaxing in {t:g} s" for t in _TIMES_S for te
 _TRAILING_OF = tuple(f"history of {turn}" for turn in _TURNS)
 
 
-def displacements() -> list[Displacement]:
-    """Return all families of displacements of a system whose segment has a pose and whose interface has markers."""
-    return [*_of_markers(), *_of_segment()]
+def displacements(long_s: float) -> list[Displacement]:
+    """Return all families of displacements of a system whose segment has a pose and whose interface has markers.
+
+    ``long_s`` is one unit of the time [s] by which they drift, the same in all trials.
+    """
+    return [*_of_markers(long_s), *_of_segment(long_s)]
 
 
-def _of_markers() -> Iterator[Displacement]:
+def _of_markers(long_s: float) -> Iterator[Displacement]:
     # each marker by itself: one may slide and the other not
     sides = ("left", "right")
     single = tuple(f"{marker} {term}" for term in ("x", "y", "z", *_TURNED) for marker in sides)
@@ -88,20 +93,20 @@ def _of_markers() -> Iterator[Displacement]:
     alike, trails = (1.0,) * len(single), (1.0,) * len(_TRAILS)
     for name, depends_on, terms, weights, chain in (
         ("late markers", ("rate",), _LAGS, (1.0,) * 3, _late_markers),
-        ("drifting markers", ("time",), apart, slow, _drifting_markers),
+        ("drifting markers", ("time",), apart, slow, partial(_drifting_markers, long_s)),
         ("turned markers", _TURNS, single, alike, _turned_markers),
         ("trailing markers", _TRAILING_OF, _TRAILS, trails, _trailing_markers),
     ):
         yield Displacement(name, "output", depends_on, terms, weights, Chains(output=chain))
 
 
-def _of_segment() -> Iterator[Displacement]:
+def _of_segment(long_s: float) -> Iterator[Displacement]:
     # a segment is displaced and turned, the turns after the displacements
     way, turned = (terms + tuple(f"r{term}" for term in terms) for terms in (_WAY, _TURNED))
     alike, trails = (1.0,) * len(turned), (1.0,) * len(_TRAILS)
     for name, depends_on, terms, weights, chain in (
         ("late segment", ("rate",), _LAGS[:2], (1.0,) * 2, _late_segment),
-        ("drifting segment", ("time",), way, _SLOW * 2, _drifting_segment),
+        ("drifting segment", ("time",), way, _SLOW * 2, partial(_drifting_segment, long_s)),
         ("turned segment", _TURNS, turned, alike, _turned_segment),
         ("trailing segment", _TRAILING_OF, _TRAILS, trails, _trailing_segment),
     ):
@@ -130,13 +135,8 @@ def _late_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np
     return out
 
 
-def _passed(context: Context) -> np.ndarray:
-    since = np.maximum(context.time_s - context.time_s[context.start], 0.0)
-    return np.asarray(since / since[-1])
-
-
-def _drifting_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
-    powers = _passed(context)[:, None] ** np.arange(1, 4)
+def _drifting_markers(long_s: float, paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
+    powers = (passed_s(context)[:, None] / long_s) ** np.arange(1, 4)
     return _moved(paths, powers, values, context)
 
 
@@ -197,8 +197,8 @@ def _late_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.
     return rotation[0] @ Rotation.from_rotvec(moved[:, 3:]).as_matrix(), moved[:, :3]
 
 
-def _drifting_segment(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-    powers = _passed(context)[:, None] ** np.arange(1, 4)
+def _drifting_segment(long_s: float, values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+    powers = (passed_s(context)[:, None] / long_s) ** np.arange(1, 4)
     way, turn = values.reshape(2, 3, 3)
     return _displaced(context, _WAY_M * powers @ way, _TURN_RAD * powers @ turn)
 

@@ -91,16 +91,26 @@ class Range:
 
 
 def variables(
-    context: Context, system: System, q_scale: np.ndarray, v_scale: np.ndarray, band_hz: float
+    context: Context,
+    system: System,
+    q_scale: np.ndarray,
+    v_scale: np.ndarray,
+    band_hz: float,
+    fitted: Mapping[str, Variable] | None = None,
 ) -> dict[str, Variable]:
     """Return the variables of a trial that a force may depend on, below ``band_hz`` [Hz]: what is faster is noise.
 
-    ``q_scale``, ``v_scale`` (axes,) are large excursions and rates [m, rad; m/s, rad/s].
+    ``q_scale``, ``v_scale`` (axes,) are large excursions and rates [m, rad; m/s, rad/s]. ``fitted`` are the variables
+    of the trial that is fitted, whose units any other trial takes: a coefficient is one number for all of them.
     """
     rate = float(1 / (context.time_s[1] - context.time_s[0]))
 
     def smooth(values: np.ndarray) -> np.ndarray:
         return np.asarray(signals.lowpass(values, rate, band_hz, 2))
+
+    def of_size(name: str, unit: str, values: np.ndarray, own: float) -> Variable:
+        scale = own if fitted is None or name not in fitted else fitted[name].scale
+        return Variable(name, unit, scale, values / scale)
 
     out: dict[str, Variable] = {}
     for i, axis in enumerate(system.axes):
@@ -115,18 +125,21 @@ def variables(
         unit, scale = _UNITS[name]
         out[name] = Variable(name, unit, scale, smooth(values - values[: context.start].mean()) / scale)
     for name in [n for n in PLACE if n in out]:
-        moved, unit, scale = out[name].values, out[name].unit, out[name].scale
-        moved = smooth(signals.derivative(moved, rate))
-        large = _large(moved)
-        out[RATES[name]] = Variable(RATES[name], f"{unit}/s", scale * large, moved / large)
+        moved = smooth(signals.derivative(out[name].values * out[name].scale, rate))
+        out[RATES[name]] = of_size(RATES[name], f"{out[name].unit}/s", moved, _large(moved))
     if "place_x" in out:
         for i, axis in enumerate(system.axes):
             moved = smooth(_accelerations(context, rate)[:, i])
-            large, name = _large(moved), f"acceleration_{axis.name}"
-            out[name] = Variable(name, "rad/s2" if axis.rotational else "m/s2", large, moved / large)
-    passed = np.maximum(context.time_s - context.time_s[context.start], 0.0)
-    out["time"] = Variable("time", "s", float(passed[-1]), passed / passed[-1])
+            name = f"acceleration_{axis.name}"
+            out[name] = of_size(name, "rad/s2" if axis.rotational else "m/s2", moved, _large(moved))
+    passed = passed_s(context)
+    out["time"] = of_size("time", "s", passed, float(passed[-1]))
     return out
+
+
+def passed_s(context: Context) -> np.ndarray:
+    """Return the time (n,) [s] since the start of a trial, 0 before."""
+    return np.asarray(np.maximum(context.time_s - context.time_s[context.start], 0.0))
 
 
 def _large(values: np.ndarray) -> float:
@@ -197,7 +210,8 @@ def cosine(half_turns: int, by: str = "") -> Basis:
     """Return a cosine of half turns over the trial, alone or times a variable."""
 
     def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
-        wave = np.cos(np.pi * half_turns * of["time"].values)
+        time = of["time"].values
+        wave = np.asarray(np.cos(np.pi * half_turns * time / time[-1]))
         return wave * of[by].values if by else wave
 
     return basis

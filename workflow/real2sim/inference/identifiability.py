@@ -82,7 +82,10 @@ class Judgement(TypedDict):
 
 
 class AssessedParameter(Judgement):
-    """A fitted parameter: value and 95 % interval [SI; None: open end], SD and bias in ln-units (None at a bound)."""
+    """A fitted parameter: value and 95 % interval [SI; None: open end], SD and bias in ln-units.
+
+    SD and bias are None at a bound, and where they cannot be computed.
+    """
 
     value: float
     sd_ln: float | None
@@ -274,7 +277,7 @@ def profile_end(
 
     ``z`` (12,) is the fit in ln-parameters, ``free`` (k,) indices. The first refit is where a parabola with this ``sd``
     (ln-units) ends; from there outwards in growing steps until J has risen. Returns the ln-value, or None if J has not
-    risen at the bound.
+    risen at the bound, or where a refit cannot be simulated: the end is not known then.
     """
     others = np.setdiff1d(np.arange(12) if free is None else free, [index])
     bound = float((residuals.lower if direction < 0 else residuals.upper)[index])
@@ -294,6 +297,8 @@ def profile_end(
         moved[index] = there
         best, found, _, _ = minimise(residuals, moved, others, iterations=iterations, ftol=1e-4)
         rise = found - cost
+        if not np.isfinite(rise):
+            return None
         if rise > threshold:
             trusted = outer is not None or rise < PARABOLA * threshold
             outer = there, np.sqrt(rise)
@@ -310,10 +315,14 @@ def profile_end(
 def flat_directions(covariance: np.ndarray, free: np.ndarray, *, sd: float) -> list[FlatDirection]:
     """Return the directions in ln-space along which the fit is free by more than ``sd``, small exponents left out.
 
-    ``covariance`` (12, 12) is that of the ln-parameters, ``free`` (k,) are the indices of those that were fitted.
+    ``covariance`` (12, 12) is that of the ln-parameters, ``free`` (k,) are the indices of those that were fitted. Empty
+    where the covariance could not be computed.
     """
-    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)])
     out: list[FlatDirection] = []
+    own = covariance[np.ix_(free, free)]
+    if not np.isfinite(own).all():
+        return out
+    values, vectors = np.linalg.eigh(own)
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
         if value < sd**2:
             break
@@ -465,7 +474,9 @@ def _assess_parameter(
     known = fit.whole if bound else fit.inner
     sd, bias = float(known.sd()[index]), float(fit.bias[index])
     ends: list[float | None] = [float(fit.point[index] + side * NORMAL_95 * sd) for side in (-1, 1)]
-    if sd > options["weak_sd_ln"]:
+    if not np.isfinite([sd, bias]).all():
+        ends = [None, None]
+    elif sd > options["weak_sd_ln"]:
         # no profile: J would rise by the noise of the input alone
         lower, upper = problem.lower[index], problem.upper[index]
         ends = [end if end is not None and lower <= end <= upper else None for end in ends]
@@ -476,8 +487,8 @@ def _assess_parameter(
     value = float(fit.z[index])
     return {
         "value": float(np.exp(fit.z[index])),
-        "sd_ln": None if bound else sd,
-        "bias_ln": None if bound else bias,
+        "sd_ln": None if bound or not np.isfinite(sd) else sd,
+        "bias_ln": None if bound or not np.isfinite(bias) else bias,
         "ci95": [None if end is None else float(np.exp(end)) for end in ends],
         **_judge(PARAMETERS[index], value, ends, sd, bias, bound, options),
     }
@@ -491,7 +502,8 @@ def interval_verdict(
     Parameters
     ----------
     sd_ln, bias_ln
-        Standard deviation, and shift of the fit by noise of the input [ln-units].
+        Standard deviation, and shift of the fit by noise of the input [ln-units]. A parameter of which either is not
+        finite is not determined.
     too_wide
         Whether the interval has an open end or is wider than ``identifiability.weak_sd_ln`` admits.
     at_bound
@@ -500,7 +512,7 @@ def interval_verdict(
         Largest SD, and largest bias, of a parameter that is determined. The noise is an estimate from quiet standing:
         no large correction is trusted to it.
     """
-    if too_wide:
+    if too_wide or not (math.isfinite(sd_ln) and math.isfinite(bias_ln)):
         return NOT_DETERMINED
     if at_bound:
         return AT_BOUND
@@ -514,7 +526,7 @@ def _why_too_wide(
     low, high = ends
     largest = NORMAL_95 * options["weak_sd_ln"]
     if low is None and high is None:
-        return "J rises towards neither bound: every admissible value fits as well"
+        return "J rises towards neither bound, as far as it can be simulated: every value there fits as well"
     if at_bound:
         reach = max(abs(end - z + bias) for end in ends if end is not None)
         return (
@@ -524,7 +536,7 @@ def _why_too_wide(
         )
     if low is None or high is None:
         side = "lower" if low is None else "upper"
-        return f"J does not rise towards the {side} bound: every value there fits as well"
+        return f"J does not rise towards the {side} bound, as far as it can be simulated"
     return _within_factor((high - low) / 2) if (high - low) / 2 > largest else None
 
 
@@ -544,6 +556,8 @@ def _judge(
     """Return the verdict on a parameter with its reason and advice, from a fit z and interval ends in ln-units."""
     determined_sd = options["determined_sd_ln"]
     too_wide = _why_too_wide(z, ends, bias, at_bound, options)
+    if not (math.isfinite(sd) and math.isfinite(bias)):
+        too_wide = "its standard deviation cannot be computed: the simulation beside the fit fails"
     verdict = interval_verdict(
         sd, bias, too_wide=too_wide is not None, at_bound=at_bound, determined_sd_ln=determined_sd
     )

@@ -114,8 +114,7 @@ def diagnose(
     train, held_out, neutral
         Folders of canonical tables of three trials: results/trials/<SUBJECT>/<TRIAL>.
     settings
-        Slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest`` and ``diagnosis`` of the
-        configuration.
+        Configuration slices ``identification``, ``identifiability``, ``plant``, ``robot``, ``ingest``, ``diagnosis``.
     further
         Folders of more dynamic trials, which fits to the first two have to predict: the one that an answer proposed.
     limits, step
@@ -148,7 +147,8 @@ def diagnose(
     about = _about(subject, train, held_out, result, the_other_way=the_other_way)
     about |= {"further": [f.name for f in further or []], "refused_gates": refused_gates(gates or [])}
     told = result.to_dict() | _about_robot(result, models, of_robot)
-    sources = _sources([train, held_out, *(further or [])], limits, list(models.values()))
+    others = [path for path in (limits, step, *(gates or []), *models.values()) if path is not None]
+    sources = _sources([train, held_out, *(further or [])], neutral, others)
     write_json(out, about | told | {"provenance": sources})
 
 
@@ -184,10 +184,15 @@ def _by_robot(
     return models, {CONFIGURED: settings, **changed}
 
 
-def _sources(trials: Sequence[Path], limits: Path | None, robots: Sequence[Path]) -> Provenance:
-    """Return the files that an answer was made from, and by which code."""
-    tables = [f / f"{table}.parquet" for f in trials for table in ("pose", "markers", "robot")]
-    return provenance([*tables, *([limits] if limits else []), *robots], _PACKAGES, fingerprint(__name__))
+def _sources(trials: Sequence[Path], neutral: Path, others: Sequence[Path]) -> Provenance:
+    """Return the files that an answer was made from, and by which code.
+
+    ``trials`` and ``neutral`` are folders of canonical tables; quality.json of the dynamic ones tells how exactly the
+    robot log is synchronised.
+    """
+    tables = [f / f"{table}.parquet" for f in (*trials, neutral) for table in ("pose", "markers", "robot")]
+    quality = [folder / "quality.json" for folder in trials]
+    return provenance([*tables, *quality, *others], _PACKAGES, fingerprint(__name__))
 
 
 def _write_traces(path: Path | None, result: Diagnosis) -> None:

@@ -27,8 +27,18 @@ from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, 
 
 # Entries of diagnosis.json that are read
 _READ = (
-    *("subject", "verdict", "verdict_set", "parameters", "model", "free_form", "robot_holds", "settings"),
-    "phantom",
+    *(
+        "subject",
+        "phantom",
+        "train",
+        "verdict",
+        "verdict_set",
+        "parameters",
+        "model",
+        "free_form",
+        "robot_holds",
+    ),
+    "settings",
 )
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _LAW = "measured_law"
@@ -140,10 +150,22 @@ def _with_law(answer: dict[str, Any]) -> dict[str, Any]:
     return answer | {"parameters": parameters}
 
 
+def _fitted_trial(answer: Mapping[str, Any], trials: Sequence[Path], source: Path) -> Path:
+    """Return the folder of the trial that the effects were fitted to. Raises InputError where it is none of them."""
+    by_name = {folder.name: folder for folder in trials}
+    (name,) = answer["train"]
+    if name not in by_name:
+        expected = " or ".join(by_name)
+        raise InputError(
+            source, "train", name, expected, "Give the folders of the two trials that were diagnosed."
+        )
+    return by_name[name]
+
+
 def export_model(
     *,
     diagnosis: Path,
-    train: Path,
+    trials: list[Path],
     neutral: Path,
     robot: Path,
     out: Path,
@@ -157,8 +179,11 @@ def export_model(
     ----------
     diagnosis
         diagnosis.json.
-    train, neutral
-        Folders of canonical tables of the training trial and of neutral.
+    trials
+        Folders of canonical tables of the two trials that were diagnosed, in any order. The model is that of the fitted
+        one, which the answer names: the second one where the trials changed places.
+    neutral
+        Folder of canonical tables of the neutral trial.
     limits
         Joint limits of the person, where they exist.
     out
@@ -166,11 +191,17 @@ def export_model(
     notes
         model.json: verdict, parameters, each effect with its status (in the model or not) and what to do about it.
     replay
-        CSV of the training trial at the model's steps: controls by actuator, and where the interface sites then are
+        CSV of the fitted trial at the model's steps: controls by actuator, and where the interface sites then are
         [m, world].
+
+    Raises
+    ------
+    InputError
+        Where the fitted trial is none of ``trials``.
     """
     answer = read_json(diagnosis, _READ)
-    evidence = diagnosed_evidence(answer, train, neutral, limits, robot)
+    fitted = _fitted_trial(answer, trials, diagnosis)
+    evidence = diagnosed_evidence(answer, fitted, neutral, limits, robot)
     effects, x = effects_of(answer["model"], evidence.setup.system, diagnosis)
     law = measured_law(answer, evidence.setup.system, evidence.scales)
     if law is not None:
@@ -182,11 +213,11 @@ def export_model(
     about = [_about(placed, part) for placed, part in zip(effects, x, strict=True)]
     used = diagnosed_robot(answer, robot)
     sources = provenance([diagnosis, used, *([limits] if limits else [])], _PACKAGES, fingerprint(__name__))
-    header, texts = _header(answer, about, train.name, replay.name), _texts(answer, about, sources)
+    header, texts = _header(answer, about, fitted.name, replay.name), _texts(answer, about, sources)
     numbers = {name: float(value) for name, value in zip(PARAMETERS, parameters, strict=True)}
     text = to_mjcf(baked(model, simulated), simulated, header, texts, numbers)
     write_text(out, text)
-    write_json(notes, _notes(answer, about, train.name) | {"provenance": sources})
+    write_json(notes, _notes(answer, about, fitted.name) | {"provenance": sources})
     write_replay(replay, model, simulated)
 
 

@@ -138,6 +138,7 @@ class StrapEvidence:
 
     ``settled``: the robot is in static equilibrium with the strap at the start, see `EffectReplay`; ``held_out``: not
     the trial that is fitted. ``elsewhere`` and ``whitening`` are None until `with_noise` has simulated the noise.
+    ``name`` is the folder of the trial's tables.
     """
 
     recorded: Recorded
@@ -149,6 +150,7 @@ class StrapEvidence:
     elsewhere: Elsewheres | None = None
     whitening: Whitening | None = None
     cache: ReplayCache = field(default_factory=ReplayCache, repr=False)
+    name: str = ""
 
     @property
     def trial(self) -> Trial:

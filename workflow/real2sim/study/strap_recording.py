@@ -79,9 +79,8 @@ def load_evidence(
     ones = np.ones(6)
     scales = Scales(_large(recorded.coordinates), _large(qd), ones, ones, ones)
     known = None if limits is None else load_limits(limits)
-    return StrapEvidence(
-        recorded, levels, scales, PlantSetup(strap_system(robot, settings), settings, known, threads), settled
-    )
+    setup = PlantSetup(strap_system(robot, settings), settings, known, threads)
+    return StrapEvidence(recorded, levels, scales, setup, settled, name=folder.as_posix())
 
 
 def _read(

@@ -93,6 +93,6 @@ def record(folder: Path, noise_m: float = 0.0, seed: int = 1, step_s: float = 0.
     pq.write_table(pa.table({"time_s": time_s} | wide), trial.markers)
     trial.limits.write_text(json.dumps({"q_min": [-1.0] * 6, "q_max": [1.0] * 6}))
     quality = {name: {"noise_sd_m": [noise_m] * 3} for name in geometry.PELVIS_MARKERS}
-    trial.neutral_quality.write_text(json.dumps({"markers": quality}))
+    trial.neutral_quality.write_text(json.dumps({"markers": quality, "markers_rate_hz": 100}))
     trial.step.write_text(json.dumps({"timestep_s": step_s}))
     return trial

@@ -12,6 +12,7 @@ from real2sim.inference.identifiability import central_jacobian
 from real2sim.inference.least_squares import Residuals, minimise
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_vector
 from real2sim.recording.trial import TrialModel, replay_of, trial_model
+from real2sim.signals import lowpass
 from real2sim.study import assessment as module
 from real2sim.study.assessment import (
     InputNoise,
@@ -167,17 +168,33 @@ def test_slope_of_the_input_noise_is_the_excess_slope_of_the_cost(trial, tmp_pat
 
 
 def test_noise_is_read_from_the_neutral_or_not_known(trial, tmp_path):
-    assert pelvis_marker_noise(trial.neutral_quality) == pytest.approx([NOISE_M] * 4)
+    assert pelvis_marker_noise(trial.neutral_quality, 100) == pytest.approx([NOISE_M] * 4)
     axes = {name: {"noise_sd_m": [3e-4, 4e-4, 0.0]} for name in PELVIS_MARKERS}
     path = tmp_path / "quality.json"
-    path.write_text(json.dumps({"markers": axes}))
-    assert pelvis_marker_noise(path) == pytest.approx([5e-4 / np.sqrt(3)] * 4)
+    path.write_text(json.dumps({"markers": axes, "markers_rate_hz": 100}))
+    assert pelvis_marker_noise(path, 100) == pytest.approx([5e-4 / np.sqrt(3)] * 4)
     axes["PSIS_L"]["noise_sd_m"] = [3e-4, None, 1e-4]
-    path.write_text(json.dumps({"markers": axes}))
-    assert pelvis_marker_noise(path) is None
+    path.write_text(json.dumps({"markers": axes, "markers_rate_hz": 100}))
+    assert pelvis_marker_noise(path, 100) is None
     del axes["PSIS_L"]
-    path.write_text(json.dumps({"markers": axes}))
-    assert pelvis_marker_noise(path) is None
+    path.write_text(json.dumps({"markers": axes, "markers_rate_hz": 100}))
+    assert pelvis_marker_noise(path, 100) is None
+
+
+@pytest.mark.parametrize("camera_hz", [60, 100, 200, 300])
+def test_noise_of_fast_cameras_is_what_the_low_pass_of_the_ingest_leaves_of_it(model, tmp_path, camera_hz):
+    # the ingest filters at the rate of the cameras and then takes every so many frames; the study adds noise at 100 Hz
+    seconds, sd = 200, 0.0015
+    raw = sd * np.random.default_rng(2).standard_normal((camera_hz * seconds, 3))
+    left = lowpass(raw, camera_hz, CONFIG["ingest"]["cutoff_hz"], CONFIG["ingest"]["filter_order"])
+    axes = {name: {"noise_sd_m": [sd] * 3} for name in PELVIS_MARKERS}
+    path = tmp_path / "quality.json"
+    path.write_text(json.dumps({"markers": axes, "markers_rate_hz": camera_hz}))
+    known = pelvis_marker_noise(path, 100)
+    assert known is not None
+    white = known[0] * np.random.default_rng(3).standard_normal((100 * seconds, 3))
+    added = lowpass(white, 100, CONFIG["ingest"]["cutoff_hz"], CONFIG["ingest"]["filter_order"])
+    assert added.std() == pytest.approx(left.std(), rel=0.05)
 
 
 def test_table_names_the_constant_that_matters_most(assessed, tmp_path):

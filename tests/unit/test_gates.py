@@ -150,9 +150,12 @@ def test_motion_measures():
 
 
 def test_noise_cost_is_quadratic_and_near_the_band_limited_value():
-    one, two = (noise_cost(sd, SETTINGS["ingest"], SETTINGS["scales"]) for sd in (0.5e-3, 1e-3))
+    one, two = (noise_cost(sd, 100, SETTINGS["ingest"], SETTINGS["scales"]) for sd in (0.5e-3, 1e-3))
     assert two == pytest.approx(4 * one)
     assert 0.03 < one < 0.12
+    # of the same noise per frame, a low-pass leaves a third where there are three times as many frames
+    faster = noise_cost(0.5e-3, 300, SETTINGS["ingest"], SETTINGS["scales"])
+    assert faster == pytest.approx(one / 3)
 
 
 def _pelvis(n: int, slide_m_per_rad: float) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -24,6 +24,7 @@ from handmade_person import (
     write_trial,
 )
 from real2sim import geometry
+from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.recording.formats.opensim import write_coordinates
 from real2sim.recording.formats.recordings import CoordinateRecording
@@ -170,6 +171,19 @@ def test_walking_without_a_robot(done):
     assert "no_robot_log" in [finding["code"] for finding in values["findings"]]
 
 
+def _findings(out, trial):
+    return {finding["code"]: finding for finding in quality(out, trial)["findings"]}
+
+
+def test_a_trial_that_alone_lacks_the_robot_log_has_another_axis(done, copy):
+    assert all("interface_axis" not in _findings(done, trial) for trial in TRIALS)
+    folder, run = copy
+    (folder / "dynamic_1.mcap").unlink()
+    found = _findings(run(), "dynamic_1")["interface_axis"]
+    assert found["severity"] == "warning"
+    assert "world z here and by arm in neutral" in found["message"]
+
+
 def test_quality_says_what_it_rests_on(done, raw):
     import hashlib
 
@@ -246,6 +260,12 @@ def test_lab_axes_must_be_right_handed():
             lab_to_world(axes)
 
 
+def test_lab_axes_are_checked_with_the_configuration():
+    for axes, found in (({"x": "-x"}, "left-handed"), ({"x": "+y"}, "not three different axes")):
+        with pytest.raises(InputError, match=f"my.yaml, ingest.lab_to_world(?s:.*){found}"):
+            validated({"ingest": {"lab_to_world": axes}}, "config", "my.yaml")
+
+
 def test_lab_marker_names(copy):
     folder, run = copy
     names = {"LASI": "ASIS_L", "strap left": "IF_L"}
@@ -258,6 +278,11 @@ def test_lab_marker_names(copy):
     assert "markers: in subject.yaml" in text
     (folder / "subject.yaml").write_text(SUBJECT + f"markers: {json.dumps(names)}\n")
     run()
+    mistyped = {"LASI": "ASIS_L", "Strap_Left": "IF_L"}
+    (folder / "subject.yaml").write_text(SUBJECT + f"markers: {json.dumps(mistyped)}\n")
+    text = refusal(run)
+    assert "Strap_Left, which is to be IF_L, is no marker of this file; did you mean strap left?" in text
+    assert "found:    markers LASI," in text, "the file's own names"
 
 
 def test_gaps(copy):

@@ -23,6 +23,7 @@ from real2sim.pages.motion.replayed import strap_wrench
 from real2sim.pages.motion.scene import arrow, robot_bodies
 from real2sim.pages.motion_clip import motion_clip
 from real2sim.recording.formats.mcap_file import Contents, read_messages
+from real2sim.recording.ingest import WRENCH
 from real2sim.system.plant import ROBOT_JOINTS, load_robot
 from recorded_trial import CONFIG, ROBOT, RecordedTrial, record
 
@@ -66,16 +67,17 @@ class Exported:
     trial: RecordedTrial
 
 
-def _robot_log(path, n: int, measured: bool):
+def _robot_log(path, n: int, measured: bool, wrench: bool):
+    """Write robot.parquet as `ingest` does: of a wrench that was not logged there is no column."""
     nothing = np.full(n, np.nan)
-    names = [*ROBOT_JOINTS, *(f"wrench_{kind}{axis}" for kind in "ft" for axis in "xyz")]
+    names = [*ROBOT_JOINTS, *(WRENCH if wrench else ())]
     values = {name: np.full(n, 0.1 * i) if measured else nothing for i, name in enumerate(names)}
     table = pa.table(values).replace_schema_metadata({"real2sim": json.dumps({"yaw_odom_to_world_rad": 0.3})})
     pq.write_table(table, path)
     return path
 
 
-def _export(trial: RecordedTrial, folder, out, measured=True):
+def _export(trial: RecordedTrial, folder, out, measured=True, wrench=True):
     fit = folder / "restart-1.json"
     content = {"subject": "S02", "trial": "dynamic_1", "restart": 1, "parameters": trial.parameters}
     fit.write_text(json.dumps(content | {"cost": {"J": 0.01}}))
@@ -86,7 +88,7 @@ def _export(trial: RecordedTrial, folder, out, measured=True):
         fits=[fit],
         pose=trial.pose,
         markers=trial.markers,
-        robot_log=_robot_log(folder / "robot.parquet", n, measured),
+        robot_log=_robot_log(folder / "robot.parquet", n, measured, wrench),
         limits=trial.limits,
         step=trial.step,
         robot=ROBOT,
@@ -225,10 +227,13 @@ def test_frames_of_the_robot_end_at_the_simulated_interface(exported):
 
 def test_logged_robot_is_turned_into_the_world_and_left_out_without_a_log(exported, tmp_path):
     assert {exported.messages["/measured/robot"][5][joint] for joint in ROBOT_JOINTS} == {0.0}
-    without = _export(exported.trial, tmp_path, tmp_path / "without.mcap", measured=False)
-    with without.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert {c.topic for c in summary.channels.values()} == set(CHANNELS) - set(OPTIONAL)
+    for measured, absent in ((False, set(OPTIONAL)), (True, {"/measured/wrench"})):
+        without = _export(
+            exported.trial, tmp_path, tmp_path / "without.mcap", measured=measured, wrench=False
+        )
+        with without.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert {c.topic for c in summary.channels.values()} == set(CHANNELS) - absent
 
 
 def test_same_trial_gives_the_same_bytes(exported, tmp_path):

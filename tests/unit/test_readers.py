@@ -451,6 +451,9 @@ def test_extension_is_compared_with_the_content(tmp_path, points):
     assert codes(detect.read_markers(path)) == ["extension"]
     refused(detect.read_markerless, path, "wrong_kind")
     refused(detect.read_log, path, "wrong_kind")
+    (tmp_path / "a.mcap").write_text("time,base_x\n0,0\n1,0\n")
+    with pytest.raises(InputError, match="convert the log to MCAP"):
+        detect.read_log(tmp_path / "a.mcap")
     (tmp_path / "b.tsv").write_text("hello")
     refused(detect.read_markers, tmp_path / "b.tsv", "unknown_format")
     refused(detect.read_markers, tmp_path / "none.tsv", "unreadable")

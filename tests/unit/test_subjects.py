@@ -15,6 +15,7 @@ from real2sim.recording.subjects import (
     discover,
     parse_trial,
     read_subject,
+    require_dynamic,
     require_operating_point,
 )
 
@@ -327,9 +328,23 @@ def test_trials_without_which_there_are_no_limits(tmp_path, missing):
         require_operating_point(one)
 
 
+def test_dynamic_trial_without_which_there_is_no_stiffness(tmp_path):
+    one = read_subject(person(tmp_path, trials=[t for t in TRIALS if not t.startswith("dynamic")]))
+    with pytest.raises(InputError, match=r"no dynamic trial(?s:.*)cohort: validation"):
+        require_dynamic(one)
+    require_dynamic(read_subject(person(tmp_path)))
+
+
 def test_trial_without_which_there_is_no_rest_pose(tmp_path):
     person(tmp_path, trials=[t for t in TRIALS if t != "neutral"])
-    assert "no trial neutral" in refusal(tmp_path)
+    text = refusal(tmp_path)
+    assert "no trial neutral" in text
+    assert "safe_comfortable_cm" not in text
+
+
+def test_a_robot_log_in_another_format_is_refused_with_what_to_do(tmp_path):
+    (person(tmp_path) / "dynamic_1.csv").write_text("time,base_x\n0,0\n")
+    assert "a robot log is read as MCAP only" in refusal(tmp_path)
 
 
 def test_folders_that_are_no_subjects(tmp_path):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from real2sim.artefacts import number, read_table
+from real2sim.artefacts import number, read_table, write_table
 from real2sim.errors import InputError
 from real2sim.study.limits import joint_limits
 from real2sim.study.tightness import (
@@ -100,6 +100,25 @@ def test_cohort_shares_the_knee_in_rotation_only(tmp_path):
     assert not cohort["pooled"]["dx"]["exists"]
     tightness_cohort(sweeps=[sweeps[0]], breakpoints=[breakpoints[0]], settings=SETTINGS, out=out)
     assert json.loads(out.read_text())["status"] == "needs at least 2 people, have 1"
+
+
+def test_who_has_no_rotation_counts_for_nothing_in_the_pooled_rotation(tmp_path):
+    (own, own_knee), (other, other_knee) = (_person(tmp_path, f"S{s:02d}", seed=s) for s in (1, 2))
+    rows = read_table(other)
+    for row in rows:
+        row.update({name: "" for name in row if name.startswith("dphi")})
+    write_table(other, list(rows[0]), rows)
+    out = tmp_path / "cohort.json"
+    tightness_cohort(sweeps=[own, other], breakpoints=[own_knee, other_knee], settings=SETTINGS, out=out)
+    pooled = json.loads(out.read_text())["pooled"]
+    alone = json.loads(own_knee.read_text())["regressions"]["dphi"]
+    assert (pooled["dphi"]["n_subjects"], pooled["dx"]["n_subjects"]) == (1, 2)
+    assert pooled["dphi"]["breakpoint_interval"] == alone["breakpoint_interval"]
+    for path in (own, other):
+        rows = read_table(path)
+        write_table(path, list(rows[0]), [row | {n: "" for n in row if n.startswith("dphi")} for row in rows])
+    tightness_cohort(sweeps=[own, other], breakpoints=[own_knee, other_knee], settings=SETTINGS, out=out)
+    assert "needs at least" in json.loads(out.read_text())["pooled"]["dphi"]["status"]
 
 
 def test_masked_trial_is_refused(tmp_path):

@@ -56,6 +56,7 @@ def test_a_lab_with_nobody_to_calibrate_uses_the_published_priors(project):
     done = project.snakemake("-n", "--cores", "1", check=False)
     assert done.returncode != 0
     assert "at least one person to calibrate on" in done.stdout
+    assert "snakemake --cores 2 person_P01" in done.stdout
 
 
 def test_a_person_without_dynamic_trials_or_sweeps_still_has_a_page(project):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -157,6 +157,23 @@ def _check_low_pass(content: dict[str, Any], source: Path) -> None:
         raise InputError(source, "ingest.cutoff_hz", found, expected, remedy, "value")
 
 
+def check_lab_axes(axes: Mapping[str, Any], source: Path | str) -> None:
+    """Raise InputError naming ``source`` unless ``ingest.lab_to_world`` is a right-handed set of three lab axes."""
+    named = [str(axes.get(axis, "")) for axis in "xyz"]
+    order = "".join(name[1:] if name.startswith(("+", "-")) else "?" for name in named)
+    even = order in ("xyz", "yzx", "zxy")
+    if not even and order not in ("xzy", "yxz", "zyx"):
+        found = "not three different axes of the lab"
+    elif even == (sum(name[0] == "-" for name in named) % 2 == 0):
+        return
+    else:
+        found = "a left-handed set of axes"
+    shown = ", ".join(f"{axis}: {name}" for axis, name in zip("xyz", named, strict=True))
+    expected = "three different lab axes with signs, right-handed, e.g. {x: +x, y: +y, z: +z}"
+    remedy = "Correct which lab axis points forward (x), left (y) and up (z) (docs/how-to/markers.md)."
+    raise InputError(source, "ingest.lab_to_world", f"{{{shown}}}: {found}", expected, remedy, "lab_axes")
+
+
 def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     """Fill in defaults and check against ``schemas/<schema_name>.schema.yaml``.
 
@@ -176,4 +193,5 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     _check_texts(filled, source)
     if schema_name == "config":
         _check_low_pass(filled, source)
+        check_lab_axes(filled["ingest"]["lab_to_world"], source)
     return filled

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 import scipy
 from scipy.interpolate import CubicSpline
+
+Sd = TypeVar("Sd", float, np.ndarray)
 
 # What the cubic across a gap is fitted to on either side: two samples determine it, four halve the effect of noise, and
 # at high rates four samples are so short a time that their noise swings the cubic far out between them [s].
@@ -166,6 +169,14 @@ def upsampled(values: np.ndarray, parts: int) -> np.ndarray:
     out = out[first : first + (len(values) - 1) * parts + 1]
     out[::parts] = values
     return np.asarray(out)
+
+
+def white_sd_at(sd: Sd, rate_hz: float, other_hz: float) -> Sd:
+    """Return the SD of white noise at another rate [Hz] that has the same power per hertz as ``sd`` (any shape) has.
+
+    A low-pass far below both rates leaves as much of either.
+    """
+    return sd * float(np.sqrt(other_hz / rate_hz))
 
 
 def common_clock(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:

@@ -39,7 +39,7 @@ from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
 from real2sim.verification.cohort.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import CODE, CODE_FILE, fingerprint
-from real2sim.recording.subjects import discover, require_operating_point
+from real2sim.recording.subjects import discover, require_dynamic, require_operating_point
 from real2sim.system.model_files import model_files
 
 # those that later stages ask for come first: Snakemake looks for who makes a file from the front
@@ -61,18 +61,36 @@ def load_study(raw_config):
         people = planned_subjects(phantom, Path("results/phantom/raw"))
     if not people:
         raise nobody_to_calibrate(study, people)
+    check_robot(study, sources)
     return study, people, phantom
+
+
+def check_robot(study, sources):
+    """Raise InputError where the robot's MJCF is not there: every rule that needs it would only miss an input."""
+    robot = study["paths"]["robot"]
+    if not Path(robot).is_file():
+        raise InputError(
+            sources,
+            "paths.robot",
+            f"no file {robot}",
+            "the MJCF of the robot, relative to the folder in which Snakemake runs",
+            "Correct the path, or leave the key out for the robot that is shipped (docs/how-to/robot.md).",
+            "no_file",
+        )
 
 
 def nobody_to_calibrate(study, people):
     """The error for a study of nobody, or for priors of a cohort that has none to calibrate."""
-    return InputError(
-        study["paths"]["subjects"],
-        "",
-        f"{len(people)} people, none with `cohort: calibration` in subject.yaml",
-        "at least one person to calibrate on",
-        "Add a person (config/README.md), or set `cohort: auto` to run the phantom.",
-    )
+    phantom = "give `--config cohort=phantom` to run the phantom"
+    found, remedy = "nobody", f"Add a person (config/README.md), or {phantom}."
+    if people:
+        count = f"{len(people)} people" if len(people) > 1 else "1 person"
+        found = f"{count}, none with `cohort: calibration` in subject.yaml"
+        remedy = (
+            "Write `cohort: calibration` in one subject.yaml; or ask for one person by name, for whom the published"
+            f" priors stand in (`snakemake --cores 2 person_{next(iter(people))}`); or {phantom}."
+        )
+    return InputError(study["paths"]["subjects"], "", found, "at least one person to calibrate on", remedy)
 
 
 def suite_settings():
@@ -227,6 +245,18 @@ def markers_of(subject, *kinds):
     return [str(Path(path).with_name("markers.parquet")) for path in poses_of(subject, *kinds)]
 
 
+def first_dynamic(wildcards):
+    """Pose and markers of a person's first dynamic trial, which has to be there."""
+    try:
+        require_dynamic(PEOPLE[wildcards.subject])
+    except InputError as error:
+        raise WorkflowError(f"\n{error}") from None
+    return {
+        "pose": poses_of(wildcards.subject, "dynamic")[0],
+        "markers": markers_of(wildcards.subject, "dynamic")[0],
+    }
+
+
 def fits_of(subjects):
     """All fit files of some people."""
     return [
@@ -302,13 +332,23 @@ def explained_poses(subject):
     return poses_of(subject, "dynamic")[:2]
 
 
-def explained_fits(subject):
-    """Fits of a person's two diagnosed trials with the causes in the model."""
+def explained_fits(subject, folder="results/with_effects/fits"):
+    """Fits of a person's two diagnosed trials: those with the causes in the model, or those of another folder."""
     return [
-        f"results/with_effects/fits/{subject}/{Path(pose).parent.name}/restart-{restart}.json"
+        f"{folder}/{subject}/{Path(pose).parent.name}/restart-{restart}.json"
         for pose in explained_poses(subject)
         for restart in RESTARTS
     ]
+
+
+def plain_side(path):
+    """Plain result to compare with one that has the causes: of the same people and of the same trials.
+
+    That is the study's own, unless the study also holds calibration people who were not diagnosed, or third trials.
+    """
+    same_people = EXPLAINED == CALIBRATION
+    same_trials = all(poses_of(name, "dynamic") == explained_poses(name) for name in EXPLAINED)
+    return path if same_people and same_trials else path.replace("results/", "results/with_effects/plain/", 1)
 
 
 def causes_of(wildcards, input):

@@ -12,8 +12,7 @@ Steps:   choose the time step; one job per trial, whose restarts are simulated i
 rule step_study:
     """The largest time step that a fine reference cannot tell apart, on a person's first dynamic trial."""
     input:
-        pose=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
-        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic")[0],
+        unpack(first_dynamic),
         limits="results/limits/{subject}.json",
         robot=ROBOT,
         published=f"{PUBLISHED}/table1_priors.csv",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from real2sim import geometry, signals
 from real2sim.artefacts import read_json, write_json
+from real2sim.configuration import check_lab_axes
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.provenance import sha256
@@ -78,7 +80,7 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
     if others:
         listed = ", ".join(others[:8]) + (", ..." if len(others) > 8 else "")
         trial.note("other_markers", "info", trial.tsv, "MARKER_NAMES", listed, "not used")
-    required = _required_markers(trial, positions)
+    required = _required_markers(trial, recording.positions, marker_names)
     rotation = lab_to_world(trial.settings["lab_to_world"])
     used = {name: positions[name] @ rotation.T for name in OUR_MARKERS if name in positions}
     _check_extent(trial, used)
@@ -88,18 +90,31 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
     return MarkerRecording(recording.time_s, recording.rate_hz, used, recording.first_frame)
 
 
-def _required_markers(trial: _Trial, positions: dict[str, np.ndarray]) -> list[str]:
+def _required_markers(trial: _Trial, own: Collection[str], marker_names: dict[str, str]) -> list[str]:
+    """Our names of the markers that a trial needs; InputError where one is not among ``own``, the file's names."""
     required = list(geometry.PELVIS_MARKERS)
     if parse_trial(trial.name)[0] != "walk_normal":
         required += geometry.INTERFACE_MARKERS
-    missing = [name for name in required if name not in positions]
+    there = {marker_names.get(name, name) for name in own}
+    missing = [name for name in required if name not in there]
     if missing:
-        found = f"markers {', '.join(positions)}"
+        found = f"markers {', '.join(own)}"
+        mapped = {lab: ours for lab, ours in marker_names.items() if ours in missing}
         remedy = "label it in QTM, or say which of the lab's names it is under markers: in subject.yaml"
+        if mapped:
+            remedy = f"correct markers: in subject.yaml: {'; '.join(_absent_name(*m, own) for m in mapped.items())}"
         raise InputError(
             trial.tsv, f"marker {', '.join(missing)}", found, ", ".join(required), remedy, "marker_missing"
         )
     return required
+
+
+def _absent_name(lab: str, ours: str, own: Collection[str]) -> str:
+    """Return that a name of subject.yaml is not in the file, and the nearest that is."""
+    lowered = {name.lower(): name for name in own}
+    near = difflib.get_close_matches(lab.lower(), lowered, 1)
+    meant = f"; did you mean {lowered[near[0]]}?" if near else ""
+    return f"{lab}, which is to be {ours}, is no marker of this file{meant}"
 
 
 def lab_to_world(axes: Mapping[str, Any]) -> np.ndarray:
@@ -107,17 +122,11 @@ def lab_to_world(axes: Mapping[str, Any]) -> np.ndarray:
 
     Raises InputError unless the result is a right-handed set of axes.
     """
+    check_lab_axes(axes, "the configuration")
     rotation = np.zeros((3, 3))
     for row, axis in enumerate(_XYZ):
-        lab = str(axes.get(axis, ""))
-        if lab[:1] in ("+", "-") and lab[1:] in _XYZ:
-            rotation[row, _XYZ.index(lab[1:])] = float(f"{lab[0]}1")
-    if not np.isclose(np.linalg.det(rotation), 1):
-        expected = "three different lab axes with signs, right-handed, e.g. x: +x, y: +y, z: +z"
-        remedy = "correct which lab axis points forward, left and up"
-        raise InputError(
-            "config/config.yaml", "key ingest.lab_to_world", str(axes), expected, remedy, "lab_axes"
-        )
+        sign, lab = axes[axis]
+        rotation[row, _XYZ.index(lab)] = float(f"{sign}1")
     return rotation
 
 
@@ -699,22 +708,22 @@ def ingest_trial(
     _check_standing(work, positions, pelvis, reference)
     robot, up, robot_report = _robot(work, clock, positions)
     joints, markerless_report = _joints(work, clock, *pelvis, marker_names)
-    interface = _interface(clock, positions, up)
+    interface, up_axis = _interface(work, clock, positions, up, reference)
     q, rest = _interface_coordinates(work, pelvis, interface, reference)
 
     poses = _pose_columns(clock, {"pelvis": pelvis, "interface": interface}, q, settings["rate_hz"])
     time: Columns = {"time_s": (clock, "s", "qualisys")}
-    yaw = {key: value for key, value in robot_report.items() if key == "yaw_odom_to_world_rad"}
     _write_table(out / "markers.parquet", work, _marker_columns(clock, positions, flags), {})
     _write_table(out / "pose.parquet", work, poses, {"rest": rest})
     _write_table(out / "joints.parquet", work, time | joints, {})
-    _write_table(out / "robot.parquet", work, time | _robot_columns(robot), yaw)
+    _write_table(out / "robot.parquet", work, time | _robot_columns(robot), _turn_of(robot_report))
 
     quality = _summary(work, clock, q) | {
         "markers": marker_report,
+        "markers_rate_hz": recording.rate_hz,
         "markerless": markerless_report,
         "robot": robot_report,
-        "interface_up_axis": "arm" if up is not None else "world z",
+        "interface_up_axis": up_axis,
         **_sources(work),
     }
     if reference is None:
@@ -724,14 +733,35 @@ def ingest_trial(
     return quality
 
 
+def _turn_of(robot_report: dict[str, Any]) -> dict[str, float]:
+    """Turn of the odometry in the world, for the metadata of the robot's table; empty without a log."""
+    return {key: value for key, value in robot_report.items() if key == "yaw_odom_to_world_rad"}
+
+
 def _interface(
-    clock: np.ndarray, positions: dict[str, np.ndarray], up: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (n, 3, 3) and origin (n, 3) [m] of the interface in the world; NaN without its two markers."""
-    if set(geometry.INTERFACE_MARKERS) <= set(positions):
-        return geometry.interface_frame(positions["IF_L"], positions["IF_R"], up)
-    nothing = np.full((len(clock), 3, 3), np.nan)
-    return nothing, nothing[:, 0]
+    work: _Trial,
+    clock: np.ndarray,
+    positions: dict[str, np.ndarray],
+    up: np.ndarray | None,
+    reference: dict[str, Any] | None,
+) -> tuple[tuple[np.ndarray, np.ndarray], str]:
+    """Rotation (n, 3, 3) and origin (n, 3) [m] of the interface in the world, and what it is upright by.
+
+    NaN without its two markers, as in a walk without the strap. A warning where ``neutral`` is upright by another axis.
+    """
+    own = "world z" if up is None else "arm"
+    if not set(geometry.INTERFACE_MARKERS) <= set(positions):
+        nothing = np.full((len(clock), 3, 3), np.nan)
+        return (nothing, nothing[:, 0]), own
+    theirs = own if reference is None else reference.get("interface_up_axis", own)
+    if own != theirs:
+        message = (
+            f"the interface is upright by {own} here and by {theirs} in neutral: its roll and pitch (q_rx, q_ry) count"
+            " from different axes"
+        )
+        action = "nothing: not comparable with trials that have the other axis; record the robot log of all or of none"
+        work.note("interface_axis", "warning", work.tsv, "", message, action)
+    return geometry.interface_frame(positions["IF_L"], positions["IF_R"], up), own
 
 
 def _interface_coordinates(

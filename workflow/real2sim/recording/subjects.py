@@ -260,8 +260,12 @@ def _files(folder: Path) -> dict[str, dict[str, Path]]:
             raise InputError(folder / name, "", _FOLDER, f"a {kind}", remedy, "no_file")
         if kind is None:
             expected = f"{SUBJECT_FILE} and trials as {', '.join(_KIND_OF)}"
-            what = _FOLDER if found_as == _FOLDER else "an unknown kind of file"
-            raise InputError(folder / name, "", what, expected, "move it elsewhere", "file_kind")
+            what, remedy = "an unknown kind of file", "move it elsewhere"
+            if found_as == _FOLDER:
+                what = _FOLDER
+            elif _TRIAL.fullmatch(trial):
+                remedy += "; a robot log is read as MCAP only: convert it, or leave it out (it is optional)"
+            raise InputError(folder / name, "", what, expected, remedy, "file_kind")
         if kind == "marker export" and trial.endswith("_6D"):
             kind, trial = "6D export", trial.removesuffix("_6D")
         if not _TRIAL.fullmatch(trial):
@@ -305,13 +309,30 @@ def require_operating_point(person: Subject) -> None:
     _require(person.folder, person.trials, person.exclude, needed)
 
 
+def require_dynamic(person: Subject) -> None:
+    """Raise InputError where a person has no dynamic trial, to which stiffness and damping are fitted."""
+    if person.trials_of("dynamic"):
+        return
+    left_out = [f"{name}: {why}" for name, why in person.exclude.items() if name.startswith("dynamic")]
+    found = "no dynamic trial" + (f" (excluded: {'; '.join(left_out)})" if left_out else "")
+    remedy = "add dynamic_1.tsv and dynamic_1.mot"
+    if person.cohort == "calibration":
+        remedy += f", or write cohort: validation in {SUBJECT_FILE}"
+    raise InputError(
+        person.folder, "", found, "one at least, for stiffness and damping", remedy, "trial_missing"
+    )
+
+
 def _require(
     folder: Path, trials: Mapping[str, TrialFiles], exclude: Mapping[str, str], needed: Mapping[str, str]
 ) -> None:
     for name, purpose in needed.items():
         if name not in trials:
             found = f"no trial {name}" + (f" (excluded: {exclude[name]})" if name in exclude else "")
-            remedy = f"add {name}.tsv and {name}.mot, or correct safe_comfortable_cm"
+            remedy = f"add {name}.tsv and {name}.mot"
             if name != "neutral":
-                remedy += "; `snakemake diagnosis` and `snakemake quality` go without"
+                remedy += (
+                    ", or correct safe_comfortable_cm;"
+                    " `snakemake --cores 2 diagnosis` and `snakemake --cores 2 quality` go without"
+                )
             raise InputError(folder, "", found, f"{name}, for {purpose}", remedy, "trial_missing")

@@ -15,7 +15,7 @@ from real2sim.inference.parameters import PARAMETERS, Bounds, as_vector, unit
 from real2sim.provenance import fingerprint
 from real2sim.recording.quality.verdict import overridden_gates, overridden_trials
 from real2sim.recording.trial import Trial, TrialModel, replay_of, trial_model, with_step
-from real2sim.signals import lowpass
+from real2sim.signals import lowpass, white_sd_at
 from real2sim.study.fit import best_of
 from real2sim.system.plant import INERTIAL_CONSTANTS
 from real2sim.system.replay import Replay
@@ -30,7 +30,10 @@ Controllers = dict[str, dict[str, dict[str, float]]]
 def with_pelvis_noise(
     trial: Trial, noise_m: np.ndarray, settings: IngestSettings, rng: np.random.Generator
 ) -> Trial:
-    """Return a trial whose pelvis markers carry more noise: white, SD (4,) [m], through the pipeline's own low-pass."""
+    """Return a trial whose pelvis markers carry more noise: white, through the pipeline's own low-pass.
+
+    ``noise_m`` (4,) [m] is its SD at the rate of the trial.
+    """
     rate = 1 / float(trial.time_s[1] - trial.time_s[0])
     white = noise_m[:, None] * rng.standard_normal(trial.pelvis_markers.shape)
     smooth = lowpass(white.reshape(len(white), -1), rate, settings["cutoff_hz"], settings["filter_order"])
@@ -55,7 +58,7 @@ class InputNoise:
     model
         The trial.
     noise_m
-        (4,) SD of the white noise of the pelvis markers before the low-pass [m], as seen in the neutral trial.
+        (4,) SD [m] of the white noise of the pelvis markers before the low-pass, at the rate of the trial.
     robot, settings
         MJCF and the slices ``identifiability``, ``ingest``, ``plant`` and ``robot`` of the configuration.
     """
@@ -174,18 +177,20 @@ def assess_model(
     return result
 
 
-def pelvis_marker_noise(quality: Path) -> np.ndarray | None:
-    """Return the SD (4,) [m] of the pelvis markers' white noise in a trial's quality.json; None if one is not known.
+def pelvis_marker_noise(quality: Path, rate_hz: float) -> np.ndarray | None:
+    """Return the SD (4,) [m] at ``rate_hz`` of the pelvis markers' white noise, None if one is not known.
 
-    The ingest estimates it by second differences of the raw export, before the low-pass. The diagnosis uses
-    `recording.noise.marker_noise` instead: the power of the filtered markers between 3 and 7 Hz, which holds also where
-    the lab's own software has filtered the export.
+    ``quality`` is a trial's quality.json. The ingest estimates the noise by second differences of the raw export, at
+    the rate of the cameras and before the low-pass. The diagnosis uses `recording.noise.marker_noise` instead: the
+    power of the filtered markers between 3 and 7 Hz, which holds also where the lab's own software has filtered the
+    export.
     """
-    markers = read_json(quality, ("markers",))["markers"]
-    axes = [markers.get(name, {}).get("noise_sd_m") for name in PELVIS_MARKERS]
+    known = read_json(quality, ("markers", "markers_rate_hz"))
+    axes = [known["markers"].get(name, {}).get("noise_sd_m") for name in PELVIS_MARKERS]
     if any(sd is None or None in sd for sd in axes):
         return None
-    return np.asarray(np.sqrt(np.mean(np.square(axes), axis=1)))
+    raw = np.asarray(np.sqrt(np.mean(np.square(axes), axis=1)))
+    return white_sd_at(raw, known["markers_rate_hz"], rate_hz)
 
 
 def assessment(
@@ -211,7 +216,7 @@ def assessment(
     best = best_of(records)
     settings = with_step(settings, step)
     model = trial_model(pose=pose, markers=markers, limits=limits, robot=robot, settings=settings, nsim=13)
-    noise_m = pelvis_marker_noise(neutral_quality)
+    noise_m = pelvis_marker_noise(neutral_quality, settings["ingest"]["rate_hz"])
     bounds = Bounds.from_config(settings["identification"]["bounds"])
     result = assess_model(
         model, as_vector(best["parameters"]), bounds, noise_m, robot=robot, settings=settings

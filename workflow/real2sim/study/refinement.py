@@ -374,7 +374,7 @@ class _Person:
         overridden = overridden_gates([{"overridden_gates": require(kept, name)} for name in models])
         for model in models.values():
             model.replay.check_bounds(bounds.upper[6:])
-        noise = pelvis_marker_noise(self.neutral.quality)
+        noise = pelvis_marker_noise(self.neutral.quality, self.settings["ingest"]["rate_hz"])
         full = _full(fits, models)
         values, trials, pooled, cross = _refine_all(
             self.subject, models, search, bounds, noise, full, self.robot, self.settings

@@ -242,10 +242,13 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: Tightnes
 def _pooled(
     tables: dict[str, list[dict[str, str]]], quantity: str, settings: TightnessSettings
 ) -> dict[str, Any]:
-    """Return the regression over all persons: shared slopes and breakpoint, an intercept for each person."""
-    parts = {s: side_means(rows, quantity) for s, rows in tables.items()}
-    x = np.concatenate([p[0] for p in parts.values()])
-    y = np.concatenate([p[1] for p in parts.values()])
+    """Return the regression over all persons: shared slopes and breakpoint, an intercept for each person.
+
+    Who was not measured in a quantity is none of its people.
+    """
+    means = {s: side_means(rows, quantity) for s, rows in tables.items()}
+    parts = {s: points for s, points in means.items() if len(points[0])}
+    x, y = (np.concatenate([[], *(points[i] for points in parts.values())]) for i in (0, 1))
     groups = np.repeat(list(parts), [len(p[0]) for p in parts.values()])
     head = {"unit": UNITS[quantity], "n_points": len(x), "n_subjects": len(parts)}
     if len(np.unique(x)) < settings["min_levels"]:

@@ -38,6 +38,7 @@ from real2sim.pages.motion.scene import (
 from real2sim.pages.motion.schemas import SCHEMAS
 from real2sim.provenance import fingerprint
 from real2sim.recording.formats.mcap_file import finish_file
+from real2sim.recording.ingest import WRENCH
 from real2sim.recording.trial import Trial, load_limits, load_trial, replay_inputs, with_step
 from real2sim.study.fit import best_of
 from real2sim.system.plant import (
@@ -216,7 +217,10 @@ class _View:
         return [topic for topic in CHANNELS if there.get(topic, True)]
 
     def _wrench(self) -> np.ndarray:
-        return self.log.stack(*(f"wrench_{kind}{axis}" for kind in "ft" for axis in "xyz"))
+        """Logged wrench (n, 6) on the interface [N, Nm], NaN where the log has none: its topic is optional."""
+        if not set(WRENCH) <= set(self.log.columns):
+            return np.full((len(self.times), 6), np.nan)
+        return self.log.stack(*WRENCH)
 
     def _robot_joints(self) -> np.ndarray:
         """Logged robot joints (n, 6) relative to their first sample, the base in the axes of the world."""

@@ -23,6 +23,7 @@ FORMATS: dict[str, tuple[str, tuple[str, ...]]] = {
     "mcap": ("an MCAP log", (".mcap",)),
 }
 _HEAD = 1 << 16
+_REMEDY_LOG = "convert the log to MCAP, the only format that is read, or leave it out (it is optional)"
 _QTM_KEYS = (
     b"NO_OF_FRAMES",
     b"NO_OF_SAMPLES",
@@ -33,11 +34,11 @@ _QTM_KEYS = (
 )
 
 
-def detect(path: Path, expected: str = "") -> str:
+def detect(path: Path, expected: str = "", remedy: str = "") -> str:
     """Name of a file's format, a key of `FORMATS`. Raises InputError where its content is none of them."""
     path = Path(path)
     expected = expected or ", ".join(name for name, _ in FORMATS.values())
-    remedy = "export the file again in one of these formats"
+    remedy = remedy or "export the file again in one of these formats"
     try:
         if path.exists() and not path.is_file():
             # opening a pipe would wait for ever
@@ -79,13 +80,15 @@ def _by_content(head: bytes) -> str | None:
     return None
 
 
-def _detected(path: Path, wanted: tuple[str, ...], what: str, findings: list[Finding]) -> str:
+def _detected(
+    path: Path, wanted: tuple[str, ...], what: str, findings: list[Finding], remedy: str = ""
+) -> str:
     """Format of a file that must be one of some, with a finding where its extension says another."""
     expected = f"{what} ({', '.join(FORMATS[key][0] for key in wanted)})"
-    kind = detect(path, expected)
+    kind = detect(path, expected, remedy)
     name, suffixes = FORMATS[kind]
     if kind not in wanted:
-        remedy = "export the file in one of these formats, or name it as what it is"
+        remedy = remedy or "export the file in one of these formats, or name it as what it is"
         raise InputError(path, "", name, expected, remedy, "wrong_kind")
     if path.suffix.lower() not in suffixes:
         message = f"{path.suffix or 'no extension'}, but the content is {name}"
@@ -130,7 +133,7 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
     """
     path = Path(path)
     findings: list[Finding] = []
-    _detected(path, ("mcap",), "a robot log", findings)
+    _detected(path, ("mcap",), "a robot log", findings, _REMEDY_LOG)
     log = robot_log.read_log(path, stamps)
     log.findings[:0] = findings
     return log

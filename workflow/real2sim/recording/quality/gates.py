@@ -557,9 +557,13 @@ def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: Qual
     return Gate("limits", verdict, value, "1", threshold, message, remedy, None, "quality.limits")
 
 
-def noise_cost(sd_m: float, ingest: IngestSettings, scales: dict[str, float]) -> float:
-    """J that white marker noise of SD ``sd_m`` per axis leaves after the low-pass, by eq. 3 of the paper."""
+def noise_cost(sd_m: float, camera_hz: float, ingest: IngestSettings, scales: dict[str, float]) -> float:
+    """J that white marker noise of SD ``sd_m`` per axis and frame leaves after the low-pass, by eq. 3 of the paper.
+
+    ``camera_hz`` is the rate of the frames [Hz]: a low-pass leaves less of the same SD the more frames there are.
+    """
     rate = ingest["rate_hz"]
+    sd_m = signals.white_sd_at(sd_m, camera_hz, rate)
     impulse = np.zeros(1001)
     impulse[500] = 1.0
     response = signals.lowpass(impulse, rate, ingest["cutoff_hz"], ingest["filter_order"])
@@ -573,7 +577,7 @@ def _noise(m: Measured, settings: QualitySettings, ingest: IngestSettings, scale
     if not sd:
         return sized_gate("noise", None, "1", settings, "no interface marker", "")
     level = float(np.sqrt(np.mean(np.square(sd))))
-    cost = noise_cost(level, ingest, scales)
+    cost = noise_cost(level, m.rate.declared, ingest, scales)
     message = (
         f"marker noise {1e3 * level:.2f} mm per axis (SD); alone it gives J = {cost:.3g} after the filter"
     )

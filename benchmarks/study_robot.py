@@ -26,17 +26,22 @@ from real2sim.pages import style
 
 ROOT = Path(__file__).resolve().parents[1]
 _SHORT = {"determined": "determined", "weak": "weak", "not determined": "not", "at bound": "at bound"}
-_COLOURS = {"determined": style.GREEN, "weak": style.ORANGE, "not determined": style.VERMILION}
+_COLOURS = {
+    "determined": style.GREEN,
+    "weak": style.ORANGE,
+    "not determined": style.VERMILION,
+    "at bound": style.PURPLE,
+}
 
 
 @dataclass(frozen=True)
 class Fits:
-    """Fits of one parameter: trials by (person, trial), each with all restarts and the best; the truth by person."""
+    """Fits of one parameter: restarts, best fit and verdict by (person, trial); the truth by person."""
 
     restarts: dict[tuple[str, str], list[float]]
     best: dict[tuple[str, str], float]
     truth: dict[str, float]
-    verdicts: Counter[str]
+    verdicts: dict[tuple[str, str], str]
 
     @classmethod
     def read(cls, results: Path, name: str) -> Fits:
@@ -54,10 +59,11 @@ class Fits:
             person: read_json(results / "phantom" / "sealed" / f"{person}.json")["parameters"][name]["value"]
             for person in {person for person, _ in restarts}
         }
-        verdicts = Counter(
-            read_json(path, ("parameters",))["parameters"][name]["verdict"]
+        judged = [
+            read_json(path, ("subject", "trial", "parameters"))
             for path in sorted((results / "identifiability").glob("*/*.json"))
-        )
+        ]
+        verdicts = {(one["subject"], one["trial"]): one["parameters"][name]["verdict"] for one in judged}
         return cls(restarts, {trial: value for trial, (_, value) in best.items()}, truth, verdicts)
 
     def row(self) -> dict[str, float | str]:
@@ -66,7 +72,9 @@ class Fits:
         within = [np.std(np.log(values)) for values in self.restarts.values()]
         error = [np.log(value / self.truth[person]) for (person, _), value in self.best.items()]
         return {
-            "verdicts": ", ".join(f"{n} {_SHORT[v]}" for v, n in self.verdicts.most_common()),
+            "verdicts": ", ".join(
+                f"{n} {_SHORT[v]}" for v, n in Counter(self.verdicts.values()).most_common()
+            ),
             "centre": float(np.exp(ln.mean())),
             "spread of best (factor)": float(np.exp(ln.std(ddof=1))),
             "spread of restarts (factor)": float(np.exp(np.mean(within))),
@@ -77,7 +85,10 @@ class Fits:
 def draw(
     fits: dict[str, Fits], published: dict[str, dict[str, str]], bounds: dict[str, tuple], out: Path
 ) -> None:
-    """Draw every restart of every trial as a share of its search range, with truth and the published interval."""
+    """Draw every restart of every trial as a share of its search range, with truth and the published interval.
+
+    The best restart of a trial has the colour of that trial's verdict, and is black where there is none.
+    """
     with matplotlib.rc_context(style.RC):
         figure = style.new_figure(4.6, phantom=True)
         axes = figure.subplots()
@@ -90,18 +101,13 @@ def draw(
             interval = [at(number(published[name][key])) for key in ("interval_low", "interval_high")]
             axes.plot(np.clip(interval, -0.03, 1.03), [y + 0.28] * 2, color=style.GREY, linewidth=1.5)
             axes.plot(at(number(published[name]["prior"])), y + 0.28, "|", color=style.GREY, markersize=6)
-            colour = _COLOURS[found.verdicts.most_common(1)[0][0]] if found.verdicts else style.BLACK
             for values in found.restarts.values():
                 axes.plot(
                     [at(v) for v in values], [y - 0.12] * len(values), ".", color=style.SKY, markersize=2.5
                 )
-            axes.plot(
-                [at(v) for v in found.best.values()],
-                [y + 0.06] * len(found.best),
-                "o",
-                color=colour,
-                markersize=3,
-            )
+            for trial, best in found.best.items():
+                colour = _COLOURS.get(found.verdicts.get(trial, ""), style.BLACK)
+                axes.plot(at(best), y + 0.06, "o", color=colour, markersize=3)
             axes.plot([at(v) for v in found.truth.values()], [y - 0.3] * len(found.truth), "k|", markersize=4)
         axes.set_yticks(range(len(fits)), [style.math_name(name) for name in fits])
         axes.invert_yaxis()

@@ -46,6 +46,8 @@ CLAIM_TABLES = (
     "deployed",
 )
 VERDICTS = ("determined", "weak", "not determined", "at bound")
+# Walkers of a condition that all stay up
+STOOD = {"survived": 8, "walkers": 8}
 REMEDY = "Fill the gaps in QTM & record <again>."
 
 
@@ -157,7 +159,7 @@ def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[st
         ):
             for joint in JOINTS:
                 row = {"condition": name, "cap": cap, "joint": joint, "cycles": 20 + seed, "rom_sd_deg": 0.5}
-                row |= {"robot": "study" if cap else "", "main": cap != 1.0}
+                row |= {"robot": "study" if cap else "", "main": cap != 1.0} | (STOOD if cap else {})
                 row |= {"rom_deg": 30.0 + seed, "rom_change_deg": change, "peak_deg": 15.0}
                 gait.append(about | row | ({"r_walk_robot": 0.9 + 0.02 * seed} if cap else {}))
         for name, cap, sigma, factor in (
@@ -169,6 +171,7 @@ def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[st
         ):
             sway = dict(zip(SIGMAS, (*sigma, sigma[0] / sigma[1]), strict=True))
             place = {"robot": "study" if cap else "", "main": True, "robot_factor": factor}
+            place |= STOOD if cap else {}
             cloud.append(about | {"condition": name, "cap": cap} | place | sway)
     tables = {name: folder / f"{name}.csv" for name in ("bars", "gait", "interface")}
     write_table(tables["bars"], BAR_COLUMNS, bars)

@@ -96,6 +96,21 @@ def test_gap_is_that_of_the_trial_which_shows_it_and_a_set_has_one_probability()
     assert chi2_per_residual(answer | {"gap": {}}) is None
 
 
+def test_a_sensor_on_its_floor_hides_nothing_of_the_gap_of_another():
+    answer = {
+        "verdict": "slack",
+        "train": ["dynamic_1"],
+        "held_out": ["dynamic_2"],
+        "shown_on": ["dynamic_2"],
+    }
+    gap = {"chi2_plain": [0, 1010], "chi2_best": [0, 100], "chi2_expected": [100, 100]}
+    parts = {"on_floor": [False, True], "chi2_expected": [[50, 50], [50, 50]]}
+    parts |= {"chi2_plain": [[0, 0], [1000, 10]], "chi2_best": [[0, 0], [90, 10]]}
+    assert chi2_per_residual(answer | {"gap": gap | {"by_sensor": parts}}) == (10.5, 1.4)
+    parts["on_floor"] = [False, False]
+    assert chi2_per_residual(answer | {"gap": gap | {"by_sensor": parts}}) == (10.1, 1)
+
+
 def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch):
     answers, out = _answers(tmp_path, S01="soft_tissue", S02="none", S03="unknown"), [tmp_path / "gap.svg"]
     gap_figure(diagnoses=answers, out=out)
@@ -111,6 +126,13 @@ def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch)
     assert mark not in out[0].read_text()
     gap_figure(diagnoses=_answers(tmp_path, marked=["S02"], S01="soft_tissue", S02="slack"), out=out)
     assert mark in out[0].read_text()
+    assert "misfit of the held-out trial" in out[0].read_text()
+    assert "of the fitted trial" not in out[0].read_text()
+    other = read_json(answers[0])
+    gap = {key: pair[::-1] for key, pair in other["gap"].items()}
+    write_json(answers[0], other | {"shown_on": other["train"], "gap": gap})
+    gap_figure(diagnoses=answers[:1], out=out)
+    assert "of the fitted trial, which alone shows the gap" in out[0].read_text()
     gap_figure(diagnoses=[], out=out)
     assert "nobody was diagnosed" in out[0].read_text()
 

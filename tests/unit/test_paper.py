@@ -12,9 +12,10 @@ from real2sim.artefacts import number, read_table, write_table
 from real2sim.errors import InputError
 from real2sim.study.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
 from real2sim.study.paper.latex import escaped, latex_table, macro_name, macros
-from real2sim.study.paper.tables import paper_figures
+from real2sim.study.paper.tables import paper_figures, paper_tables
 from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_refined, write_study, write_twin
 
+PAPER_TABLES = ("table1_priors", "table2_interface", "table3_gait", "cross_trial")
 LIBRARY = Path(__file__).parents[2] / "workflow" / "real2sim"
 
 
@@ -194,6 +195,128 @@ def test_nobody_else_s_twin_is_taken_for_the_unseen_person_s(study, tmp_path):
     found = _judged(*study, tmp_path / "out", gait=one["gait"], interface=one["interface"])
     assert found["hip_change"]["verdict"] == "reproduced on the phantom"
     assert number(found["hip_change"]["here"]) == -2
+
+
+def _fall(twin: dict[str, Path], seeds: tuple[str, ...], condition: str = "prior") -> None:
+    """Let every walker of a condition fall in some seeds, as `twin_table` writes it."""
+    for name, kept in (("gait", ("rom_paper_deg",)), ("interface", ("gamma_paper",))):
+        rows = read_table(twin[name])
+        for row in rows:
+            if row["condition"] == condition and row["seed"] in seeds and not row.get("robot_factor"):
+                for key in list(row)[list(row).index("joint" if name == "gait" else "robot_factor") + 1 :]:
+                    row[key] = row[key] if key in ("walkers", "phantom", *kept) else ""
+                row |= {"survived": "0"} | ({"cycles": "0"} if name == "gait" else {})
+        write_table(twin[name], list(rows[0]), rows)
+
+
+def test_a_seed_in_which_everybody_fell_reproduces_nothing(study, tmp_path):
+    twin = write_twin(tmp_path / "twin")
+    # the seed that alone keeps hip_r from being reproduced
+    _fall(twin, ("1",))
+    found = _judged(*study, tmp_path / "out", gait=twin["gait"], interface=twin["interface"])
+    for name in ("hip_change", "hip_r", "gamma_prior"):
+        assert found[name]["verdict"] == "not reproduced on the phantom", name
+        assert "In 1 of 3 seeds (seed 1) all walkers fell" in found[name]["reason"], name
+    assert number(found["gamma_prior"]["here"]) == pytest.approx(np.mean([3 / 7, 3 / 8]))
+    assert "In 1 of 3 seeds (seed 1) all walkers fell" in found["gamma_value"]["reason"]
+    assert found["sway_order"]["verdict"] == "not reproduced on the phantom"
+    assert "Holds in 2 of 3 seeds. In 1 of 3 seeds all walkers" in found["sway_order"]["reason"]
+    assert (found["cycles"]["verdict"], number(found["cycles"]["here"])) == (
+        "not reproduced on the phantom",
+        0,
+    )
+    assert "In 2 of 12 walks" in found["cycles"]["reason"]
+    assert "prior in seed 1. Of these walks 1 are at the robot" in found["cycles"]["reason"]
+
+
+def test_where_everybody_fell_in_every_seed_the_claim_is_judged(study, tmp_path):
+    twin = write_twin(tmp_path / "twin")
+    _fall(twin, ("1", "2", "3"))
+    found = _judged(*study, tmp_path / "out", gait=twin["gait"], interface=twin["interface"])
+    for name in ("hip_change", "knee_change", "ankle_change", "hip_r", "gamma_prior", "gamma_value"):
+        assert found[name]["verdict"] == "not reproduced on the phantom", name
+        assert found[name]["here"] == "", name
+        assert "In 3 of 3 seeds (seeds 1, 2, 3) all walkers fell" in found[name]["reason"], name
+
+
+def test_a_seed_without_any_cloud_counts_among_the_seeds(study, tmp_path):
+    twin = write_twin(tmp_path / "twin")
+    for condition in ("walk_robot", "soft", "prior", "stiff"):
+        _fall(twin, ("2",), condition)
+    found = _judged(*study, tmp_path / "out", gait=twin["gait"], interface=twin["interface"])
+    assert found["sway_order"]["verdict"] == "not reproduced on the phantom"
+    assert "Holds in 2 of 3 seeds" in found["sway_order"]["reason"]
+
+
+def test_tables_ii_and_iii_count_the_seeds_with_a_value_and_who_stayed_up(study, tmp_path):
+    _, given = study
+    twin = write_twin(tmp_path / "twin")
+    _fall(twin, ("2", "3"))
+    out = [tmp_path / f"{name}.{kind}" for name in PAPER_TABLES for kind in ("csv", "tex")]
+    paper_tables(
+        priors=given["priors"],
+        cross_trial=given["cross_trial"],
+        published=[PUBLISHED / "table2_interface.csv", PUBLISHED / "table3_gait.csv"],
+        out=out,
+        subject="S99",
+        gait=twin["gait"],
+        interface=twin["interface"],
+    )
+    counts = ("seeds", "survived", "walkers")
+    sway = {row["condition"]: row for row in read_table(out[2])}
+    assert [sway["prior"][key] for key in counts] == ["1", "8", "24"]
+    assert number(sway["prior"]["sigma_y_mm"]) == 6
+    assert sway["prior"]["sigma_y_mm_seed_sd"] == ""
+    assert [sway["soft"][key] for key in counts] == ["3", "24", "24"]
+    assert [sway["walk_robot"][key] for key in counts] == ["", "", ""]
+    gait = {(row["joint"], row["condition"]): row for row in read_table(out[4])}
+    assert [gait["knee_angle", "prior"][key] for key in counts] == ["1", "8", "24"]
+    assert [gait["knee_angle", "free"][key] for key in counts] == ["3", "", ""]
+    assert "prior, simulated & 1 & 8/24 & 3.0 &" in out[3].read_text("utf-8")
+    assert "knee & prior, simulated & 1 & 8/24 & 31.0 &" in out[5].read_text("utf-8")
+
+
+def test_a_published_prior_is_not_printed_as_one_of_the_fits(tmp_path):
+    write_study(tmp_path, people=1)
+    rows = read_table(tmp_path / "paper" / "table1_priors.csv")
+    assert {row["source"] for row in rows} == {"published (Table I)"}
+    assert rows[0]["status"].startswith("needs at least")
+    assert number(rows[0]["prior"]) == number(rows[0]["published_prior"])
+    tex = (tmp_path / "paper" / "table1_priors.tex").read_text("utf-8")
+    assert "k_tx & N/m & -- & -- & -- & 725 & [205, 2.57e+03] & common".replace("_", r"\_") in tex
+    assert "Dash: no prior of the fits (needs at least 3 people, have 1)." in tex
+
+
+def test_an_overhead_is_explained_by_the_ratio_to_noise_that_was_found(tmp_path):
+    given = write_study(tmp_path)
+    rows = read_table(given["loso"])
+    write_table(given["loso"], list(rows[0]), [row | {"overhead_J_percent": "50"} for row in rows])
+    costs = read_table(given["cross_trial"])
+    mean = costs[0] | {"subject": "mean", "J_within_mean_1": "1.3"}
+    write_table(given["cross_trial"], list(costs[0]), [*costs, mean | {"J_floor_1": "0.02"}])
+    found = _judged(tmp_path, given, tmp_path / "out")["loso_J"]
+    assert found["verdict"] == "not reproduced on the phantom"
+    assert "whose J is 65 times that of noise alone" in found["reason"]
+    assert "near the noise" not in found["reason"]
+    write_table(given["cross_trial"], list(costs[0]), [*costs, mean | {"J_floor_1": ""}])
+    without = _judged(tmp_path, given, tmp_path / "out")["loso_J"]["reason"]
+    assert without.startswith("An overhead is a percentage of the own best fit; ")
+
+
+def test_the_exact_interval_is_given_by_its_ends(study, tmp_path):
+    _, given = study
+    rows = read_table(given["icc"])
+    for row in rows:
+        row |= {"exact_low": "0.25", "exact_high": "0.75"}
+    rows[3] |= {"exact_low": "0.125", "exact_high": "0.25"}
+    path = tmp_path / "icc.csv"
+    write_table(path, list(rows[0]), rows)
+    reason = _judged(*study, tmp_path / "out", icc=path)["exact_common"]["reason"]
+    narrow, wide = rows[3]["parameter"], rows[0]["parameter"]
+    assert (
+        f"widths between 0.125 ({narrow}, from 0.125 to 0.25) and 0.5 ({wide}, from 0.25 to 0.75)" in reason
+    )
+    assert "is wide" not in reason
 
 
 def test_an_anisotropy_out_of_reach_is_not_put_on_private_data(study, tmp_path):

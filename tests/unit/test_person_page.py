@@ -85,6 +85,14 @@ def _refined(full: bool = True, **changes) -> dict:
         "free": list(FREE),
         "parameters": rows,
         "trials": {"dynamic_1": _trial(full), "dynamic_2": _trial(full)},
+        "pooled": {
+            "J": 0.0702,
+            "evaluations": 180,
+            "trials": {
+                "dynamic_1": {"J": 0.0651, "rmse_position_m": 0.0015},
+                "dynamic_2": {"J": 0.0753, "rmse_position_m": 0.0016},
+            },
+        },
         "cross_trial": {"refined": {"pairs": [pair]}},
         "noise_floor": {"J": 0.054, "ci95": [0.05, 0.057]},
         "provenance": {
@@ -102,7 +110,7 @@ def _nothing(**changes) -> dict:
     for row in rows.values():
         row |= {"source": "prior", "value": row["prior"]}
     status = "no dynamic trial: nothing to refine on, the point prior stands"
-    none = {"trials": {}, "cross_trial": None, "noise_floor": None, "parameters": rows}
+    none = {"trials": {}, "pooled": None, "cross_trial": None, "noise_floor": None, "parameters": rows}
     return _refined(status=status, **none) | changes
 
 
@@ -149,6 +157,12 @@ def _page_of(folder: Path, refined: dict, *, whole: bool = True) -> tuple[Path, 
     return out, page, content
 
 
+def _rows(content: str, section: str) -> list[list[str]]:
+    """Cells of the rows of the first table after a section's heading."""
+    body = content[content.index(f'id="{section}"') :].split("<tbody>", 1)[1].split("</tbody>", 1)[0]
+    return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in body.split("</tr>") if "<t" in row]
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[Path, _Page, str]:
     return _page_of(tmp_path_factory.mktemp("person"), _refined())
@@ -168,8 +182,7 @@ def test_page_is_whole_and_loads_nothing(whole):
 
 def test_everything_about_the_person_is_told(whole):
     _, page, _ = whole
-    assert "2 of 12 parameters are refined on 2 dynamic trials" in page.text
-    assert "J falls from 0.09 at the prior to 0.0612, 1.13 times what noise alone costs (0.054)" in page.text
+    assert "2 of 12 parameters are refined on 2 dynamic trials together" in page.text
     assert "2 <spikes>" in page.text
     assert "The knee of the sweep lies at 10.2 cm" in page.text
     assert "J is 2.5 % above a full calibration's with 7.9 % of the evaluations" in page.text
@@ -179,6 +192,33 @@ def test_everything_about_the_person_is_told(whole):
     assert "Slack causes the gap" in page.text
     assert "rests on synthetic people" in page.text
     assert "\N{MINUS SIGN}100.0" in page.text, "limits in mm"
+
+
+def test_costs_are_those_of_the_values_that_are_given(whole):
+    _, page, content = whole
+    # the values are refined on both trials together; each trial's own refinement has J 0.0612
+    lead = "Mean J of these trials falls from 0.09 at the prior to 0.0702, 1.3 times what noise alone costs (0.054)"
+    assert lead in page.text
+    rows = {cells[0]: cells[1:] for cells in _rows(content, "cost")}
+    assert rows["dynamic 1, refined on this trial alone"] == ["0.0612", "1.13", "1.4", "96"]
+    assert rows["dynamic 1, refined on all trials together"] == ["0.0651", "1.21", "1.5", "90"]
+    assert rows["dynamic 2, refined on all trials together"] == ["0.0753", "1.39", "1.6", "90"]
+    assert rows["mean of the trials, refined on all trials together"] == [
+        "0.0702",
+        "1.3",
+        "\N{EN DASH}",
+        "180",
+    ]
+
+
+def test_costs_of_one_trial_are_its_own(tmp_path):
+    _, page, _ = _page_of(
+        tmp_path, _refined(trials={"dynamic_1": _trial(full=True)}, pooled=None, cross_trial=None)
+    )
+    assert "refined on 1 dynamic trial, the others" in page.text
+    assert "J falls from 0.09 at the prior to 0.0612, 1.13 times what noise alone costs (0.054)" in page.text
+    assert "together" not in page.text[: page.text.index("Who")]
+    assert "dynamic 1, refined on" not in page.text
 
 
 def test_the_model_can_be_taken_away(whole):

@@ -89,6 +89,7 @@ def test_every_part_of_the_study_is_told(report):
     assert all(about.split(".")[0] in page.text for _, about in FIGURES.values())
     assert "5 of 6 bars of the simulated walkers are met" in page.text
     assert "S99, seed 1" in page.text
+    assert "24 of 24" in page.text, "walkers that stayed up"
     assert "cannot be told" in page.text
     assert "only k_ty, d_tx are refined" in page.text
     assert "1.0 %" in page.text, "refined above full"
@@ -117,32 +118,44 @@ def test_a_section_stands_where_what_it_tells_of_exists(tmp_path):
     assert "Diagnosis" not in content
 
 
-def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):
-    _, given = report
-    explained = [tmp_path / "table1_priors.csv", tmp_path / "transfer.csv"]
-    columns = dict.fromkeys(PRIOR_COLUMNS, "2.5") | {
-        "parameter": "k_tx",
-        "n_subjects": "5",
-        "n_with_a_cause": "4",
-    }
-    write_table(explained[0], PRIOR_COLUMNS, [columns])
-    moved = dict.fromkeys(TRANSFER_COLUMNS, "0.5") | {"says": "J of a fit on its own trial", "published": ""}
-    write_table(explained[1], TRANSFER_COLUMNS, [moved])
+def _with_causes(folder: Path, given: dict, *, same_trials: str | None = None) -> tuple[_Page, str]:
+    """Report of a study whose first claim is 17.5 with the causes, and ``same_trials`` by the plain fits beside it."""
+    tables = [folder / "table1_priors.csv", folder / "transfer.csv", folder / "claims.csv"]
+    searches = {"search_plain": "CMA-ES", "search_with_effects": "least squares"}
+    priors = {"parameter": "k_tx", "n_subjects": "5", "n_with_a_cause": "4"}
+    priors |= {"source_with_effects": "published (Table I)", "status_with_effects": "needs more people"}
+    write_table(tables[0], PRIOR_COLUMNS, [dict.fromkeys(PRIOR_COLUMNS, "2.5") | priors | searches])
+    moved = {"says": "J of a fit on its own trial", "published": ""}
+    write_table(tables[1], TRANSFER_COLUMNS, [dict.fromkeys(TRANSFER_COLUMNS, "0.5") | moved | searches])
     claims = read_table(given["claims"])
-    assert claims[0]["here"] != "17.5"
-    write_table(
-        tmp_path / "claims.csv",
-        tuple(claims[0]),
-        [claims[0] | {"here": "17.5", "verdict": "reproduced only so"}, *claims[1:]],
-    )
-    out = tmp_path / "report.html"
-    report_page(**given, title="Explained", out=out, explained=[*explained, tmp_path / "claims.csv"])
-    page, _ = _parsed(out)
+    columns = tuple(claims[0])
+    assert claims[0]["here"] not in ("17.5", same_trials)
+    changed = claims[0] | {"here": "17.5", "verdict": "reproduced only so"}
+    write_table(tables[2], columns, [changed, *claims[1:]])
+    plain = folder / "plain.csv"
+    write_table(plain, columns, [claims[0] | ({"here": same_trials} if same_trials else {}), *claims[1:]])
+    out = folder / "report.html"
+    report_page(**given, title="Explained", out=out, explained=[*tables, plain])
+    return _parsed(out)
+
+
+def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):
+    page, _ = _with_causes(tmp_path, report[1])
     assert page.text.count("reproduced only so") == 1
     assert page.text.count("17.5") == 1
     assert "The same with the diagnosed causes in the model" in page.text
     assert "4 of 5 calibration people have a diagnosed cause" in page.text
+    assert "the plain one by CMA-ES, the one with causes by least squares" in page.text
+    assert "Same trials" not in page.text
+    assert "Dash: no prior of the fits (needs more people)." in page.text
     assert "transfer.csv" in page.text
+
+
+def test_claims_by_the_plain_fits_of_fewer_trials_have_a_column(report, tmp_path):
+    page, content = _with_causes(tmp_path, report[1], same_trials="913")
+    assert content.count('<td class="number">913</td>') == 1
+    assert "Same trials: the value, where it differs from Here" in page.text
+    assert "With causes: the value, where it differs from Same trials" in page.text
 
 
 def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeypatch):

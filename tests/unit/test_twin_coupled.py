@@ -367,7 +367,14 @@ def _record() -> dict:
 def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     record = _record()
     gait = gait_rows("S06", record)
-    assert {row["condition"] for row in gait} == {"free", "free_at_cap", "walk_normal", "walk_robot", "prior"}
+    walked = {"free", "free_at_cap", "walk_normal", "walk_robot", "prior"}
+    assert {row["condition"] for row in gait if row["cycles"]} == walked
+    fallen = [row for row in gait if row["condition"] == "stiff"]
+    assert [(row["joint"], row["cycles"]) for row in fallen] == [(joint, 0) for joint in SAGITTAL]
+    assert (fallen[0]["survived"], fallen[0]["walkers"], fallen[0]["main"]) == (0, 8, True)
+    angles = ("rom_deg", "rom_sd_deg", "rom_change_deg", "peak_deg", "r_walk_robot")
+    assert all(row[key] is None for row in fallen for key in angles)
+    assert not strap_rows([row for row in gait if row["condition"] in ("prior", "stiff")])
     assert all(row["phantom"] for row in gait)
     prior = next(row for row in gait if row["condition"] == "prior" and row["joint"] == "hip_flexion")
     assert prior["rom_change_deg"] == 0
@@ -401,6 +408,9 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
         out = [tmp_path / f"{draw.__name__}.{kind}" for kind in ("png", "pdf", "svg")]
         draw(coupled=[path, path], out=out)
         assert all(p.stat().st_size > 5000 for p in out)
+    legend = (tmp_path / "speed_figure.svg").read_text()
+    assert ">prior<" in legend
+    assert ">own<" not in legend, "a condition without a point"
     # a walker that falls before its first whole stride without a robot, and goes on with one
     path.write_text(json.dumps(record | {"free": record["free"] | {"gait": {}}}))
     speed_figure(coupled=[path], out=[tmp_path / "fallen.svg"])

@@ -50,6 +50,52 @@ def test_everyone_is_diagnosed_and_the_tables_stand_twice(shipped):
     assert "with_effects" not in unseen
 
 
+def _compared(project, *options: str) -> dict[str, list[str]]:
+    """Plain results that the tables with causes are compared with, and all jobs that are planned, by option or rule."""
+    jobs = _jobs(project, "results/paper/with_effects/transfer.csv", *options)
+    out = {}
+    for job in jobs:
+        out.setdefault(job["rule"], []).append(job["command"])
+    (command,) = out["with_effects"]
+    for option in ("priors", "icc", "cross-trial", "loso"):
+        out[option] = re.search(rf" --{option} (.*?) --", command)[1].split()
+    return out
+
+
+def test_the_plain_side_of_the_tables_with_causes_is_the_studys_where_both_rest_on_the_same(project):
+    found = _compared(project)
+    assert found["priors"][0] == "results/priors/priors.csv"
+    assert found["icc"][0] == "results/shareability/icc.csv"
+    assert found["loso"] == [f"results/loso/S0{i}.json" for i in range(1, 6)]
+    assert not any(name.endswith("_plain_side") for name in found)
+
+
+def test_third_trials_are_left_out_of_the_plain_side_of_the_tables_with_causes(project):
+    project.edit("config/phantom.yaml", "dynamic_trials: 2", "dynamic_trials: 3")
+    found = _compared(project)
+    assert found["priors"][0] == "results/with_effects/plain/priors/priors.csv"
+    assert found["icc"][0] == "results/with_effects/plain/shareability/icc.csv"
+    assert found["cross-trial"] == [f"results/with_effects/plain/cross_trial/S0{i}.json" for i in range(1, 6)]
+    for rule in ("shareability", "cross_trial", "loso"):
+        commands = found[f"{rule}_plain_side"]
+        assert all("dynamic_2" in command for command in commands)
+        assert not any("dynamic_3" in command or "dynamic_{1,2,3}" in command for command in commands)
+
+
+def test_people_without_a_diagnosis_are_left_out_of_the_plain_side_of_the_tables_with_causes(project):
+    for name in ("S01", "S02", "S03"):
+        answer = project.folder / "results" / "diagnosis" / name / "diagnosis.json"
+        answer.parent.mkdir(parents=True)
+        answer.write_text("{}")
+    found = _compared(project, "--config", "diagnosed=unseen")
+    assert found["loso"] == [f"results/with_effects/plain/loso/S0{i}.json" for i in (1, 2, 3)]
+    (shared,) = found["shareability_plain_side"]
+    assert "S03" in shared
+    assert not any(name in shared for name in ("S04", "S05", "S06"))
+    assert len(found["loso_plain_side"]) == 3
+    assert len(found["shareability_with_effects"]) == 1
+
+
 def test_robots_that_may_have_held_the_strap_are_inputs_of_the_diagnosis_alone(project):
     listed = 'diagnosis={"robots": {"study": "config/study-robot.yaml"}}'
     jobs = _jobs(project, "--config", listed)
@@ -161,6 +207,14 @@ def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
     assert "Traceback" not in done.stdout
 
 
+def test_a_robot_that_is_not_there_is_refused_before_any_job(project):
+    project.configure(paths={"robot": "resources/robot/none.xml"})
+    done = project.snakemake("-n", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert "paths.robot" in done.stdout
+    assert "no file resources/robot/none.xml" in done.stdout
+
+
 def test_unknown_key_is_refused_before_any_job(project):
     project.configure(identification={"evaluatons": 3})
     done = project.snakemake("-n", "--cores", "1", check=False)
@@ -217,4 +271,4 @@ def test_person_without_sweeps_is_diagnosed_but_not_identified(project):
     done = project.snakemake("-n", "--cores", "1", check=False)
     assert done.returncode != 0
     assert "no trial rotation_T08" in done.stdout
-    assert "`snakemake diagnosis` and `snakemake quality` go without" in done.stdout
+    assert "`snakemake --cores 2 diagnosis` and `snakemake --cores 2 quality` go without" in done.stdout

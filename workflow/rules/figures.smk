@@ -12,7 +12,7 @@ FIGURES += ["paper_gap"] if PAPER_GAP_RECORD else []
 
 
 rule gap_figure:
-    """How far everyone's plain and diagnosed model are off the trial that they predict, beside noise."""
+    """How far everyone's plain and diagnosed model are off the trial that shows the gap, beside noise."""
     input:
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
     output:
@@ -291,7 +291,13 @@ rule report_page:
         fits=fits_of(CALIBRATION),
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=REPORTED),
         explained=(
-            [f"results/paper/with_effects/{table}.csv" for table in ("table1_priors", "transfer", "claims")]
+            [
+                *[
+                    f"results/paper/with_effects/{table}.csv"
+                    for table in ("table1_priors", "transfer", "claims")
+                ],
+                plain_side("results/paper/claims.csv"),
+            ]
             if len(EXPLAINED) > 1
             else []
         ),

@@ -4,9 +4,11 @@ Inputs:  results/diagnosis/<SUBJECT>/diagnosis.json of the calibration people wh
          what their plain fits are made from.
 Outputs: results/with_effects/: fits/<SUBJECT>/<TRIAL>/restart-<N>.json, fits.csv, icc.csv, priors.csv,
          cross_trial/<SUBJECT>.json, cross_trial.csv, loso/<SUBJECT>.json, loso.csv;
+         results/with_effects/plain/: the plain results of these people and trials, by the names that they have in
+         results/, where the study holds other calibration people or third trials besides;
          results/paper/with_effects/{table1_priors,transfer,claims}.{csv,tex}, numbers.tex.
 Steps:   fit the two diagnosed trials with the causes held; ICC, priors, cross-trial and leave-one-out replays by the
-         same commands as without them; both beside each other.
+         same commands as without them; the same of the plain fits of these people and trials; both beside each other.
 """
 
 
@@ -116,11 +118,11 @@ rule with_effects:
     """Table I, and what the parameters cost on another trial and another person, with the plain model and with the causes."""
     input:
         diagnoses=expand("results/diagnosis/{subject}/diagnosis.json", subject=EXPLAINED),
-        priors=["results/priors/priors.csv", "results/with_effects/priors.csv"],
-        icc=["results/shareability/icc.csv", "results/with_effects/icc.csv"],
-        cross_trial=expand("results/cross_trial/{subject}.json", subject=EXPLAINED),
+        priors=[plain_side("results/priors/priors.csv"), "results/with_effects/priors.csv"],
+        icc=[plain_side("results/shareability/icc.csv"), "results/with_effects/icc.csv"],
+        cross_trial=expand(plain_side("results/cross_trial/{subject}.json"), subject=EXPLAINED),
         cross_trial_explained=expand("results/with_effects/cross_trial/{subject}.json", subject=EXPLAINED),
-        loso=expand("results/loso/{subject}.json", subject=EXPLAINED),
+        loso=expand(plain_side("results/loso/{subject}.json"), subject=EXPLAINED),
         loso_explained=expand("results/with_effects/loso/{subject}.json", subject=EXPLAINED),
         published=[f"{PUBLISHED}/{name}.csv" for name in ("table1_priors", "cross_trial", "claims")],
     output:
@@ -140,12 +142,13 @@ rule with_effects:
         mem_mb=600,
         runtime=10,
     params:
+        settings=settings_of("identification"),
         code=code("with-effects"),
     shell:
         "python -m real2sim with-effects --diagnoses {input.diagnoses:q} --priors {input.priors:q} --icc {input.icc:q}"
         " --cross-trial {input.cross_trial:q} --cross-trial-explained {input.cross_trial_explained:q}"
         " --loso {input.loso:q} --loso-explained {input.loso_explained:q} --published {input.published:q}"
-        " --out {output:q} 2>&1 | tee {log:q}"
+        " --settings {params.settings:q} --out {output:q} 2>&1 | tee {log:q}"
 
 
 use rule cross_trial_table as cross_trial_table_with_effects with:
@@ -198,3 +201,118 @@ use rule claims as claims_with_effects with:
         "logs/with_effects/claims.log",
     benchmark:
         "logs/benchmarks/with_effects/claims.tsv"
+
+
+use rule shareability as shareability_plain_side with:
+    """ICC(1,1) of each parameter by the plain fits of the diagnosed people and trials alone."""
+    input:
+        fits=[path for subject in EXPLAINED for path in explained_fits(subject, "results/fits")],
+    output:
+        fits="results/with_effects/plain/shareability/fits.csv",
+        icc="results/with_effects/plain/shareability/icc.csv",
+    log:
+        "logs/with_effects/plain/shareability.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/shareability.tsv"
+
+
+use rule priors as priors_plain_side with:
+    """Prior and search range of each parameter by the plain fits of the diagnosed people and trials alone."""
+    input:
+        fits="results/with_effects/plain/shareability/fits.csv",
+        icc="results/with_effects/plain/shareability/icc.csv",
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/with_effects/plain/priors/priors.csv",
+    log:
+        "logs/with_effects/plain/priors.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/priors.tsv"
+
+
+use rule cross_trial as cross_trial_plain_side with:
+    """Best plain fit of each of the two diagnosed trials, simulated on the other one."""
+    input:
+        fits=lambda wildcards: explained_fits(wildcards.subject, "results/fits"),
+        poses=lambda wildcards: explained_poses(wildcards.subject),
+        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic")[:2],
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+    output:
+        "results/with_effects/plain/cross_trial/{subject}.json",
+    log:
+        "logs/with_effects/plain/cross_trial/{subject}.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/cross_trial/{subject}.tsv"
+
+
+use rule loso as loso_plain_side with:
+    """Prior by the plain fits of the other diagnosed people, deployed on one person's two diagnosed trials."""
+    input:
+        fits=lambda wildcards: explained_fits(wildcards.subject, "results/fits"),
+        cohort="results/with_effects/plain/shareability/fits.csv",
+        poses=lambda wildcards: explained_poses(wildcards.subject),
+        markers=lambda wildcards: markers_of(wildcards.subject, "dynamic")[:2],
+        limits="results/limits/{subject}.json",
+        step="results/plant/{subject}.json",
+        robot=ROBOT,
+        published=f"{PUBLISHED}/table1_priors.csv",
+    output:
+        "results/with_effects/plain/loso/{subject}.json",
+    log:
+        "logs/with_effects/plain/loso/{subject}.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/loso/{subject}.tsv"
+
+
+use rule cross_trial_table as cross_trial_table_plain_side with:
+    """Cross-trial cost of the plain fits per diagnosed person, beside the published one."""
+    input:
+        cross_trial=expand("results/with_effects/plain/cross_trial/{subject}.json", subject=EXPLAINED),
+        floors=expand("results/noise_floor/{subject}.json", subject=EXPLAINED),
+        published=f"{PUBLISHED}/cross_trial.csv",
+    output:
+        "results/with_effects/plain/tables/cross_trial.csv",
+    log:
+        "logs/with_effects/plain/cross_trial_table.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/cross_trial_table.tsv"
+
+
+use rule loso_table as loso_table_plain_side with:
+    """LOSO overhead of the plain fits per diagnosed person and on average."""
+    input:
+        loso=expand("results/with_effects/plain/loso/{subject}.json", subject=EXPLAINED),
+    output:
+        "results/with_effects/plain/loso/loso.csv",
+    log:
+        "logs/with_effects/plain/loso_table.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/loso_table.tsv"
+
+
+use rule claims as claims_plain_side with:
+    """Each quantitative claim of the paper, its value by the plain fits of the diagnosed people and trials alone."""
+    input:
+        published=rules.claims.input.published,
+        people=rules.claims.input.people,
+        sweeps=rules.claims.input.sweeps,
+        tightness=rules.claims.input.tightness,
+        fits="results/with_effects/plain/shareability/fits.csv",
+        cross_trial="results/with_effects/plain/tables/cross_trial.csv",
+        icc="results/with_effects/plain/shareability/icc.csv",
+        loso="results/with_effects/plain/loso/loso.csv",
+        coverage=rules.claims.input.coverage,
+        refined=rules.claims.input.refined,
+        gait=rules.claims.input.gait,
+        interface=rules.claims.input.interface,
+        human=rules.claims.input.human,
+    output:
+        table="results/with_effects/plain/paper/claims.csv",
+        tex="results/with_effects/plain/paper/claims.tex",
+        numbers="results/with_effects/plain/paper/numbers.tex",
+    log:
+        "logs/with_effects/plain/claims.log",
+    benchmark:
+        "logs/benchmarks/with_effects/plain/claims.tsv"

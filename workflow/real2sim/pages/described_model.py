@@ -27,7 +27,7 @@ def write_model(path: Path, answer: Diagnosis) -> None:
     pair, fitted = answer.found.pair, answer.fits.law or answer.fitted
     replay = pair.train.replay(list(fitted.effects), 1)
     if not isinstance(replay, SystemReplay):
-        raise ValueError("the strap's model is written by the workflow: snakemake diagnosis")
+        raise ValueError("the strap's model is written by the workflow: snakemake --cores 2 diagnosis")
     values = pair.system.values(fitted.base)
     replay.run_effects(values[None], [x[None] for x in fitted.split()])
     simulated = replay.as_simulated()

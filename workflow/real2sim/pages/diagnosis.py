@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from real2sim.artefacts import read_json, write_table
 from real2sim.diagnosis.evidence import CONFIGURED
+from real2sim.diagnosis.sensors import above
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
@@ -200,13 +201,20 @@ def answer_probability(d: Mapping[str, Any]) -> float:
 
 
 def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Chi-squared per residual on the trial that shows the gap, plain and with the effect; None in old answers."""
+    """Chi-squared per residual on the trial that shows the gap, plain and with the effect; None in old answers.
+
+    A sensor on its floor counts for no less than one per residual, as where the diagnosis asks what stands above noise.
+    """
     gap = d["gap"]
     if not gap.get("chi2_expected"):
         return None
     i = [d["train"], d["held_out"]].index(_shown(d))
-    n = gap["chi2_expected"][i]
-    return gap["chi2_plain"][i] / n, gap["chi2_best"][i] / n
+    n, parts = gap["chi2_expected"][i], gap.get("by_sensor")
+    if parts is None:
+        return gap["chi2_plain"][i] / n, gap["chi2_best"][i] / n
+    expected, on_floor = parts["chi2_expected"][i], parts["on_floor"]
+    plain, best = (1 + above(parts[key][i], expected, on_floor) / n for key in ("chi2_plain", "chi2_best"))
+    return plain, best
 
 
 def chi2_closed(d: Mapping[str, Any]) -> float | None:

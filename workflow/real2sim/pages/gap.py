@@ -20,9 +20,10 @@ _ROW_IN, _FRAME_IN = 0.32, 1.0
 
 
 def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
-    """Draw chi-squared per residual of everyone's predicted trial: plain and with the cause; noise alone leaves 1.
+    """Draw chi-squared per residual of everyone's held-out trial: plain and with the cause; noise alone leaves 1.
 
-    ``diagnoses`` are files diagnosis.json. Of more people than a page holds, those with the largest gap are shown.
+    ``diagnoses`` are files diagnosis.json. Where the fitted trial alone shows the gap, it is drawn and marked. Of more
+    people than a page holds, those with the largest gap are shown.
     """
     answers = [read_json(path, _KEYS) for path in diagnoses]
     told = [(d, both) for d in answers if (both := chi2_per_residual(d)) is not None]
@@ -63,6 +64,9 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     for (d, _), x, y in zip(shown, plain, place, strict=True):
         text = f"{answer_words(d)} ({likely(answer_probability(d))})"
         axes.annotate(text, (x, y), (8, 0), textcoords="offset points", va="center", fontsize=7)
-    axes.set_yticks(place, [d["subject"] for d, _ in shown])
+    exchanged = [d.get("shown_on", d["held_out"]) != d["held_out"] for d, _ in shown]
+    names = [f"{d['subject']}{'*' * other}" for (d, _), other in zip(shown, exchanged, strict=True)]
+    axes.set_yticks(place, names)
     axes.set_ylim(-0.6, len(shown) - 0.4)
-    axes.set_xlabel("misfit of the predicted trial (chi-squared per residual)")
+    words = "misfit of the held-out trial (chi-squared per residual)"
+    axes.set_xlabel(words + "\n* of the fitted trial, which alone shows the gap" * any(exchanged))

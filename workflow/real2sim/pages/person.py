@@ -162,11 +162,15 @@ def _lead(study: Person) -> str:
     if refined["status"] != OK:
         return f"All {len(PARAMETERS)} parameters are the point prior."
     n, trials = len(refined["free"]), len(refined["trials"])
-    before, after = _mean(refined, "prior"), _mean(refined, "refined")
+    pooled = refined["pooled"]
+    # the values are those of all trials together, and each trial's own refinement has a smaller J
+    before, after = _mean(refined, "prior"), pooled["J"] if pooled else _mean(refined, "refined")
     floor = refined["noise_floor"]["J"]
+    on = f"{trials} dynamic trials together" if pooled else "1 dynamic trial"
+    quantity = "Mean J of these trials" if pooled else "J"
     return (
-        f"{n} of {len(PARAMETERS)} parameters are refined on {trials} dynamic trial{'s' if trials > 1 else ''}, the"
-        f" others are the prior's. J falls from {rounded(before)} at the prior to {rounded(after)},"
+        f"{n} of {len(PARAMETERS)} parameters are refined on {on}, the"
+        f" others are the prior's. {quantity} falls from {rounded(before)} at the prior to {rounded(after)},"
         f" {rounded(after / floor)} times what noise alone costs ({rounded(floor)})."
     )
 
@@ -353,25 +357,19 @@ def _costs(study: Person) -> str:
     if refined["status"] != OK:
         return section("cost", "Cost J and noise", paragraph(f"{refined['status'].capitalize()}."))
     floor = refined["noise_floor"]
-    rows = []
-    for name, trial in refined["trials"].items():
-        rows += [
-            _cost_row(f"{_words(name)}, {label}", trial[kind], floor["J"], evaluations)
-            for kind, label, evaluations in (
-                ("prior", "point prior", None),
-                ("refined", "refined", trial["refined"]["evaluations"]),
-                ("full", "full calibration", trial["full"] and trial["full"]["evaluations_best_restart"]),
-            )
-            if trial[kind]
-        ]
     low, high = floor["ci95"]
     caption = (
         f"Cost J (no unit) and position RMSE. Measurement noise alone costs {rounded(floor['J'])}"
         f" [{rounded(low)}, {rounded(high)}]; evaluations of a full calibration: of its best restart"
     )
+    if refined["pooled"]:
+        caption += (
+            ". Refined on all trials together: the values in the table of parameters and in interface.xml. Refined on"
+            " this trial alone: lower, because only this trial decided the values"
+        )
     costs = table(
         ["Trial and parameters", "J", "Times noise", "RMSE [mm]", "Evaluations"],
-        rows,
+        _cost_rows(refined),
         caption=caption,
         numeric=(1, 2, 3, 4),
     )
@@ -386,12 +384,34 @@ def _costs(study: Person) -> str:
     )
 
 
+def _cost_rows(refined: Mapping[str, Any]) -> list[list[str]]:
+    """Return a row of costs per trial and set of parameters, and one of the mean J that was minimised on all trials."""
+    floor, pooled = refined["noise_floor"]["J"], refined["pooled"]
+    alone = "refined on this trial alone" if pooled else "refined"
+    together = "refined on all trials together"
+    rows = []
+    for name, trial in refined["trials"].items():
+        full = trial["full"]
+        found = [
+            ("point prior", trial["prior"], None),
+            (alone, trial["refined"], trial["refined"]["evaluations"]),
+        ]
+        if pooled:
+            found.append((together, pooled["trials"][name], pooled["evaluations"] // len(refined["trials"])))
+        if full:
+            found.append(("full calibration", full, full["evaluations_best_restart"]))
+        rows += [_cost_row(f"{_words(name)}, {label}", cost, floor, count) for label, cost, count in found]
+    if pooled:
+        rows.append(_cost_row(f"mean of the trials, {together}", pooled, floor, pooled["evaluations"]))
+    return rows
+
+
 def _cost_row(label: str, cost: Mapping[str, Any], floor: float, evaluations: int | None) -> list[str]:
     return [
         escape(label),
         rounded(cost["J"], 4),
         rounded(cost["J"] / floor),
-        rounded(1e3 * cost["rmse_position_m"]),
+        rounded(1e3 * cost["rmse_position_m"]) if "rmse_position_m" in cost else _DASH,
         _DASH if evaluations is None else str(evaluations),
     ]
 

@@ -44,6 +44,7 @@ from real2sim.pages.paper_gap import told
 from real2sim.pages.style import signed
 from real2sim.pages.validation import RECORD_KEYS, withheld_check
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, worst
+from real2sim.study.paper.tables import ABOUT_COUNTS, is_published, missing_priors
 
 Row = dict[str, str]
 
@@ -58,11 +59,11 @@ _DASH = "\N{EN DASH}"
 FIGURES = {
     "gap": (
         "The gap of everyone",
-        "Chi-squared per residual (no unit, logarithmic) of the trial that each diagnosis predicts: circle, the plain "
-        "model of strap and robot; diamond, the same with the diagnosed cause in it, open where it carries the misfit "
-        "mark: more than noise is left beside it; dashed, what noise alone leaves, 1 (less where the robot log is "
-        "quieter than any log is trusted to be). At the dashed line there is no gap to explain, and the answer is "
-        "none. In brackets: the sum of the probabilities of what is named.",
+        "Chi-squared per residual (no unit, logarithmic) of the held-out trial, or of the fitted one where that alone "
+        "shows the gap (marked *): circle, the plain model of strap and robot; diamond, the same with the diagnosed "
+        "cause in it, open where it carries the misfit mark: more than noise is left beside it; dashed, what noise "
+        "alone leaves, 1. At the dashed line there is no gap to explain, and the answer is none. In brackets: the sum "
+        "of the probabilities of what is named.",
     ),
     "paper_gap": (
         "Causes beside the paper",
@@ -212,8 +213,8 @@ class Identification:
 class Sharing:
     """Sharing between people: ICC and class of each parameter, priors, and what the priors cost someone left out.
 
-    ``explained``: Table I and transfer with the plain model and with the causes, and claims with the causes; none where
-    nobody was diagnosed.
+    ``explained``: Table I and transfer with the plain model and with the causes, claims with the causes, and claims by
+    the plain fits of the same people and trials; none where nobody was diagnosed.
     """
 
     icc: Table
@@ -322,8 +323,8 @@ def report_page(
         All fit files, refinements of unseen people, diagnosis.json of those who have one; records of
         resources/validation and of resources/paper_gap.
     explained
-        table1_priors.csv, transfer.csv and claims.csv of results/paper/with_effects, where the calibration people are
-        diagnosed.
+        table1_priors.csv, transfer.csv and claims.csv of results/paper/with_effects, and claims.csv of the plain fits
+        of the same people and trials, where the calibration people are diagnosed.
     """
     study = Study(
         people=people,
@@ -774,12 +775,20 @@ def _with_effects(study: Study) -> str:
     """Table I and the transfer costs twice, where the calibration people are diagnosed."""
     if not study.sharing.explained:
         return ""
-    priors, transfer, _ = study.sharing.explained
+    priors, transfer = study.sharing.explained[:2]
     first = priors.rows[0]
-    who = f"{first['n_with_a_cause']} of {first['n_subjects']} calibration people have a diagnosed cause"
+    who = (
+        f"{first['n_with_a_cause']} of {first['n_subjects']} calibration people have a diagnosed cause. Both models "
+        f"are fitted to the first two dynamic trials of the same people: the plain one by {first['search_plain']}, the "
+        f"one with causes by {first['search_with_effects']}"
+    )
     models = ("plain", "with_effects")
+    missing = [row[f"status_{m}"] for row in priors.rows for m in models if is_published(row[f"source_{m}"])]
+    dashes = f". {missing_priors(missing)}" if missing else ""
 
     def numbers(row: Row, model: str) -> list[str]:
+        if is_published(row[f"source_{model}"]):
+            return [_DASH, _DASH, _value(row[f"icc_{model}"]), _DASH]
         spread = _interval(row[f"interval_low_{model}"], row[f"interval_high_{model}"])
         return [
             _value(row[f"prior_{model}"], 4),
@@ -815,7 +824,7 @@ def _with_effects(study: Study) -> str:
                 for row in priors.rows
             ],
             caption="Table I with the plain model and with the diagnosed causes in it: prior, central 95 % of the "
-            f"fits, their ICC and the class by it. {who}",
+            f"fits, their ICC and the class by it. {who}{dashes}",
             numeric=(1, 3, 5, 7, 10),
         ),
         _file(priors, transfer),
@@ -1041,10 +1050,10 @@ def _answers_table(study: Study) -> str:
         "Next trial",
     ]
     caption = (
-        "The answer for everyone. J: cost of the trial that is predicted, with the plain model, of measurement noise "
-        "alone, and with the answer in the model. Misfit: chi-squared per residual of that trial without and with the "
-        "answer; noise leaves 1, and chi-squared sees gaps that J does not. Closed: share of it above noise. Next "
-        "trial: what would separate the likeliest causes."
+        "The answer for everyone. J: cost of the held-out trial, or of the fitted one where that alone shows the gap, "
+        "with the plain model, of measurement noise alone, and with the answer in the model. Misfit: chi-squared per "
+        "residual of that trial without and with the answer; noise leaves 1, and chi-squared sees gaps that J does "
+        "not. Closed: share of it above noise. Next trial: what would separate the likeliest causes."
     )
     return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))
 
@@ -1071,10 +1080,16 @@ def _with_sd(row: Row, key: str) -> str:
     return _value(row[key]) + (f" <span class='small'>± {_value(spread, 2)}</span>" if spread else "")
 
 
+def _counts_of(row: Row) -> list[str]:
+    """Cells of the seeds with a value and of the walkers that stayed up; a dash where nothing was simulated."""
+    return [row["seeds"] or _DASH, f"{row['survived']} of {row['walkers']}" if row["walkers"] else _DASH]
+
+
 def _interface_table(study: Study) -> str:
     rows = [
         [
             escape(_words(row["condition"])),
+            *_counts_of(row),
             *(_with_sd(row, f"sigma_{axis}_mm") for axis in "xyz"),
             _with_sd(row, "gamma"),
             *(_value(row[f"published_sigma_{axis}_mm"]) for axis in "xyz"),
@@ -1084,12 +1099,19 @@ def _interface_table(study: Study) -> str:
     ]
     spreads = [f"\N{GREEK SMALL LETTER SIGMA} {axis} [mm]" for axis in "xyz"]
     gamma = "\N{GREEK SMALL LETTER GAMMA}"
-    head = ["Condition", *spreads, gamma, *(f"Published {name}" for name in (*spreads, gamma))]
+    head = [
+        "Condition",
+        "Seeds",
+        "Survived",
+        *spreads,
+        gamma,
+        *(f"Published {name}" for name in (*spreads, gamma)),
+    ]
     return table(
         head,
         rows,
         caption="Spread of the interface midpoint about the pelvis while walking with the robot, mean and SD over "
-        "seeds. Paper: Table II.",
+        f"seeds. {ABOUT_COUNTS} Paper: Table II.",
         numeric=range(1, len(head)),
     )
 
@@ -1098,6 +1120,7 @@ def _gait_table(study: Study) -> str:
     rows = [
         [
             escape(f"{_words(row['joint'])}, {_words(row['condition'])}"),
+            *_counts_of(row),
             _with_sd(row, "rom_deg"),
             _with_sd(row, "rom_change_deg"),
             _with_sd(row, "peak_deg"),
@@ -1110,6 +1133,8 @@ def _gait_table(study: Study) -> str:
     return table(
         [
             "Joint, condition",
+            "Seeds",
+            "Survived",
             "Range [deg]",
             "Change [deg]",
             "Peak [deg]",
@@ -1119,8 +1144,8 @@ def _gait_table(study: Study) -> str:
         ],
         rows,
         caption="Range of motion, its change by the robot, peak angle, and correlation with the person's own walk with "
-        "the robot; mean and SD over seeds. Paper: Table III.",
-        numeric=(1, 2, 3, 4, 5, 6),
+        f"the robot; mean and SD over seeds. {ABOUT_COUNTS} Paper: Table III.",
+        numeric=range(1, 9),
     )
 
 
@@ -1158,29 +1183,17 @@ _JUDGED = {
 
 def _claims(study: Study) -> str:
     counts = Counter(row["verdict"] for row in study.claims.rows)
-    # what depends on fits, once more with the diagnosed causes in the model
-    explained = (
-        {row["claim"]: row for row in study.sharing.explained[2].rows} if study.sharing.explained else {}
-    )
-    head = [
-        "The paper says",
-        "Published",
-        "Here",
-        *(["With causes"] if explained else []),
-        "Unit",
-        "Verdict",
-        "Reason",
-    ]
+    others = _claims_of_the_diagnosed(study)
+    head = ["The paper says", "Published", "Here", *others, "Unit", "Verdict", "Reason"]
     rows = []
     for row in study.claims.rows:
         kind = next((k for start, k in _JUDGED.items() if row["verdict"].startswith(start)), "warned")
-        causes = [_with_causes(row, explained[row["claim"]])] if explained else []
         rows.append(
             [
                 f"{escape(row['says'])} <span class='small'>{escape(row['place'])}</span>",
                 _value(row["published"], 4),
                 _value(row["here"]),
-                *causes,
+                *(cells[row["claim"]] for cells in others.values()),
                 escape(row["unit"]) if row["unit"] != "1" else "",
                 f'<span class="{kind} wrapped">{escape(row["verdict"])}</span>',
                 escape(row["reason"]),
@@ -1188,24 +1201,54 @@ def _claims(study: Study) -> str:
         )
     summary = "; ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
     caption = "Every quantitative claim of the paper. Its own criterion stands in the file"
-    if explained:
-        caption += ". With causes: the value, where it differs, once the diagnosed causes are in the model"
+    plain = "Here"
+    if _SAME_TRIALS in others:
+        plain = _SAME_TRIALS
+        caption += (
+            f". {_SAME_TRIALS}: the value, where it differs from Here, by the plain fits of the diagnosed people's "
+            "first two dynamic trials, which the fits with causes rest on"
+        )
+    if others:
+        caption += (
+            f". With causes: the value, where it differs from {plain}, once the diagnosed causes are in the model, "
+            f"fitted by {study.sharing.explained[0].rows[0]['search_with_effects']}"
+        )
     return section(
         "claims",
         "What the paper claims, and what is found here",
         paragraph(f"{len(study.claims.rows)} claims: {summary}."),
-        table(head, rows, caption=caption, numeric=(1, 2, 3) if explained else (1, 2)),
+        table(head, rows, caption=caption, numeric=(1, 2, *range(3, 3 + len(others)))),
         _file(study.claims),
     )
 
 
-def _with_causes(plain: Row, explained: Row) -> str:
-    """The value of a claim with the causes in the model, and its verdict where that is another one; or nothing."""
-    if explained["here"] == plain["here"]:
+_SAME_TRIALS = "Same trials"
+
+
+def _claims_of_the_diagnosed(study: Study) -> dict[str, dict[str, str]]:
+    """Return further columns of the claims as cells by claim; none where nobody was diagnosed.
+
+    ``Same trials`` is there where the study holds calibration people or trials that the fits with causes do not.
+    """
+    if not study.sharing.explained:
+        return {}
+    causes, same = ({row["claim"]: row for row in found.rows} for found in study.sharing.explained[2:])
+    out = {
+        _SAME_TRIALS: {row["claim"]: _other_value(row, same[row["claim"]]) for row in study.claims.rows},
+        "With causes": {name: _other_value(row, causes[name]) for name, row in same.items()},
+    }
+    if not any(out[_SAME_TRIALS].values()):
+        del out[_SAME_TRIALS]
+    return out
+
+
+def _other_value(row: Row, other: Row) -> str:
+    """Return the value of a claim by another analysis, and its verdict where that is another one; or nothing."""
+    if other["here"] == row["here"]:
         return ""
-    verdict = explained["verdict"]
-    other = f" <span class='small'>{escape(verdict)}</span>" if verdict != plain["verdict"] else ""
-    return f"{_value(explained['here'])}{other}"
+    verdict = other["verdict"]
+    judged = f" <span class='small'>{escape(verdict)}</span>" if verdict != row["verdict"] else ""
+    return f"{_value(other['here'])}{judged}"
 
 
 def _paper_gap(study: Study) -> str:

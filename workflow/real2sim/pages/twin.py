@@ -186,12 +186,17 @@ def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
     with matplotlib.rc_context(style.RC):
         figure = style.new_figure(3.7, phantom=any(r["phantom"] for r in records))
         both = figure.subplots(1, 2, sharex=True)
+        drawn: set[str] = set()
         for axes, letter, (joint, name) in zip(both, "ab", list(JOINT_NAMES.items())[:2], strict=True):
             axes.set_xlabel("change of speed (%)")
-            _against_speed(axes, records, joint)
+            drawn |= _against_speed(axes, records, joint)
             style.panel_letter(axes, letter, name)
         both[0].set_ylabel("change of range of motion (deg)")
-        handles = [Line2D([], [], color=c, marker="o", linestyle="", label=n) for n, c in CONDITIONS.items()]
+        handles = [
+            Line2D([], [], color=c, marker="o", linestyle="", label=n)
+            for n, c in CONDITIONS.items()
+            if n in drawn
+        ]
         handles += [
             Line2D([], [], color=style.BLACK, marker=m, mfc="none", linestyle="", label=f"{n} robot")
             for n, m in _MARKS.items()
@@ -218,9 +223,13 @@ def _change(
     return speed, angle["rom_deg"][0] - base[joint]["rom_deg"][0]
 
 
-def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> None:
-    """Draw every condition without factors, and the person's own change, for a joint; count who is hardly walking."""
+def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> set[str]:
+    """Draw every condition without factors, and the person's own change, for a joint; count who is hardly walking.
+
+    Returns the names of the conditions that have a point.
+    """
     beyond = fallen = 0
+    drawn: set[str] = set()
     for record in records:
         free = record["free"]
         if not free["gait"] or not free[joint].get("cycles"):
@@ -234,6 +243,7 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
             if speed < _HARDLY_WALKING:
                 beyond += 1
                 continue
+            drawn.add(c["name"])
             colour, mark = CONDITIONS[c["name"]], _MARKS[c["robot"]]
             face = colour if c["aware"] else "none"
             axes.plot(speed, change, mark, color=colour, markersize=3.5, mfc=face, markeredgewidth=0.8)
@@ -252,6 +262,7 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> Non
         axes.set_xlabel(f"{axes.get_xlabel()}\n{beyond} beyond {_HARDLY_WALKING} % not drawn")
     if fallen:
         axes.set_xlabel(f"{axes.get_xlabel()}\n{fallen} of {len(records)} seeds not drawn:\nno free walk")
+    return drawn
 
 
 def wrench_figure(*, coupled: list[Path], out: list[Path]) -> None:

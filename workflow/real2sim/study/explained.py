@@ -24,6 +24,7 @@ from real2sim.study.fit import BATCH, outcome, progress_of, restart_seed, search
 if TYPE_CHECKING:
     from real2sim.settings import IdentificationSettings
 
+METHOD = "least_squares"
 _PACKAGES = ["mujoco", "numpy", "scipy"]
 _READ = ("train", "held_out", "robot_holds", "model", "settings")
 
@@ -116,7 +117,7 @@ def fit_with_effects(
     causes = Causes.read(diagnosis, neutral, robot)
     overridden = {} if gates is None else require(gates, trial.name)
     ident = settings.copy()
-    ident["method"] = "least_squares"
+    ident["method"] = METHOD
     bounds = Bounds.from_config(ident["bounds"])
     model = causes.model(trial, limits, BATCH)
     label = f"{subject} {trial.name} with {', '.join(causes.names) or 'no cause'}"

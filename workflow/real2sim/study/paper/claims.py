@@ -64,6 +64,22 @@ class Walks:
     interface: list[Row] = field(default_factory=list)
     dof: int | None = None
 
+    @property
+    def seeds(self) -> list[str]:
+        """Seeds of the twins that walked, also those whose walkers all fell."""
+        return list(dict.fromkeys(row["seed"] for row in (*self.interface, *self.gait)))
+
+    def fallen(self, standing: Iterable[str]) -> str:
+        """Return a sentence on the seeds other than ``standing``, whose walkers left no value; empty without any."""
+        lost = sorted(set(self.seeds) - set(standing))
+        if not lost:
+            return ""
+        named = f"seed{'s' * (len(lost) > 1)} {', '.join(lost)}"
+        return (
+            f"In {len(lost)} of {len(self.seeds)} seeds ({named}) all walkers fell or took no whole stride: there is "
+            "no value."
+        )
+
 
 @dataclass
 class Evidence:
@@ -126,6 +142,11 @@ def _no(reason: str) -> Finding:
 
 def _short(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
+
+
+def _sentences(*texts: str) -> str:
+    """Return the texts that are not empty, joined by a space."""
+    return " ".join(filter(None, texts))
 
 
 def _half_digit(text: str) -> float:
@@ -251,6 +272,12 @@ def _cost(e: Evidence, claim: str) -> Finding:
     return e.absolute(claim, here, reason)
 
 
+def _within_over_floor(e: Evidence) -> float:
+    """Return the mean J of the within-trial fits over the mean J of noise alone; NaN where one is unknown."""
+    mean = _mean_row(e.cross_trial)
+    return number(mean["J_within_mean_1"]) / number(mean["J_floor_1"]) if mean else math.nan
+
+
 @_judges("overhead_mean")
 def _overhead(e: Evidence) -> Finding:
     mean = _mean_row(e.cross_trial)
@@ -316,9 +343,21 @@ def _exact_common(e: Evidence) -> Finding:
     if not _known(e):
         return _no(f"ICC: {e.icc[0]['status'] if e.icc else 'no fits'}.")
     named = [row["parameter"] for row in e.icc if row["class_by_exact_interval"] == "common"]
-    people = e.icc[0]["n_subjects"]
-    reason = f"{', '.join(named) or 'None'}. The exact interval of {people} people is wide."
+    reason = _sentences(f"{', '.join(named) or 'None'}.", _exact_widths(e))
     return e.judged(len(named) == e.said("exact_common"), len(named), reason)
+
+
+def _exact_widths(e: Evidence) -> str:
+    """Return a sentence on the narrowest and the widest exact interval of an ICC; empty where there is none."""
+    ends = {row["parameter"]: (number(row["exact_low"]), number(row["exact_high"])) for row in _known(e)}
+    widths = {name: high - low for name, (low, high) in ends.items() if math.isfinite(high - low)}
+    if not widths:
+        return ""
+    narrow, wide = (
+        f"{_short(widths[name])} ({name}, from {_short(ends[name][0])} to {_short(ends[name][1])})"
+        for name in (min(widths, key=lambda n: widths[n]), max(widths, key=lambda n: widths[n]))
+    )
+    return f"The exact intervals of the ICC of {e.icc[0]['n_subjects']} people have widths between {narrow} and {wide}."
 
 
 @_judges("bootstrap_coverage")
@@ -445,9 +484,11 @@ def _loso(e: Evidence, claim: str) -> Finding:
         return _no("Not everyone has a prior of the others.")
     key = {"loso_J": "overhead_J_percent", "loso_rmse": "overhead_rmse_percent"}[claim]
     here = number(mean[key])
+    over = _within_over_floor(e)
+    near = f", whose J is {_short(over)} times that of noise alone" if math.isfinite(over) else ""
     reason = (
-        "An overhead is relative to the own best fit: where that lies near the noise, as here, the same prior costs "
-        "many times more of it than where unmodelled effects already cost most."
+        f"An overhead is a percentage of the own best fit{near}; the same extra cost is a larger percentage of a "
+        "smaller J."
     )
     return e.judged(here <= e.said(claim), here, reason if here > e.said(claim) else "")
 
@@ -540,41 +581,53 @@ _NO_TWIN = "No twin was trained: nobody has a walk_normal trial."
 
 @_judges("sway_order")
 def _sway_order(e: Evidence) -> Finding:
-    seeds = _clouds(e)
-    if not seeds:
+    if not e.walks.interface:
         return _no(_NO_TWIN)
+    straps = ("soft", "prior", "stiff")
+    whole = {seed: rows for seed, rows in _clouds(e).items() if all(name in rows for name in straps)}
     holds = [
-        all(name in rows for name in ("soft", "prior", "stiff"))
-        and all(
+        all(
             number(rows["soft"][f"sigma_{axis}_mm"])
             > number(rows["prior"][f"sigma_{axis}_mm"])
             > number(rows["stiff"][f"sigma_{axis}_mm"])
             for axis in "xy"
         )
-        for rows in seeds.values()
+        for rows in whole.values()
     ]
-    reason = f"Holds in {sum(holds)} of {len(holds)} seeds."
-    return e.judged(all(holds), float(sum(holds)), reason)
+    seeds = e.walks.seeds
+    lost = len(seeds) - len(whole)
+    reason = f"Holds in {sum(holds)} of {len(seeds)} seeds."
+    if lost:
+        reason += f" In {lost} of {len(seeds)} seeds all walkers of at least one of the three straps fell."
+    return e.judged(sum(holds) == len(seeds), float(sum(holds)), reason)
 
 
-def _gammas(e: Evidence) -> list[float]:
-    return [number(rows["prior"]["gamma"]) for rows in _clouds(e).values() if "prior" in rows]
+def _gammas(e: Evidence) -> dict[str, float]:
+    """Return the ratio of the spreads under the prior by seed, without the seeds in which all walkers fell."""
+    return {seed: number(rows["prior"]["gamma"]) for seed, rows in _clouds(e).items() if "prior" in rows}
 
 
 @_judges("gamma_prior")
 def _gamma_prior(e: Evidence) -> Finding:
-    found = _gammas(e)
-    if not found:
+    if not e.walks.interface:
         return _no(_NO_TWIN)
-    reason = f"Per seed: {', '.join(_short(v) for v in found)}. The direction is compared, not the size."
-    return e.judged(max(found) < 1, float(np.mean(found)), reason)
+    found = _gammas(e)
+    fallen = e.walks.fallen(found)
+    if not found:
+        return e.judged(False, None, fallen)
+    values = list(found.values())
+    reason = f"Per seed: {', '.join(map(_short, values))}. The direction is compared, not the size."
+    return e.judged(max(values) < 1 and not fallen, float(np.mean(values)), _sentences(reason, fallen))
 
 
 @_judges("gamma_value")
 def _gamma_value(e: Evidence) -> Finding:
-    found = _gammas(e)
-    if not found:
+    if not e.walks.interface:
         return _no(_NO_TWIN)
+    by_seed = _gammas(e)
+    found, fallen = list(by_seed.values()), e.walks.fallen(by_seed)
+    if not found:
+        return e.judged(False, None, fallen)
     changed = [number(row["gamma"]) for rows in _clouds(e, factors=True).values() for row in rows.values()]
     values = [*found, *changed]
     low, high = min(values), max(values)
@@ -584,7 +637,7 @@ def _gamma_value(e: Evidence) -> Finding:
         f"{_short(low)} and {_short(high)}. The paper gives none of them, so its number is "
         f"{'within reach but not explained' if holds else 'not reached'}."
     )
-    here = float(np.mean(found))
+    reason, here = _sentences(reason, fallen), float(np.mean(found))
     return Finding(here, PRIVATE, reason) if holds else e.judged(False, here, reason)
 
 
@@ -627,18 +680,40 @@ def _gait(e: Evidence, condition: str, joint: str) -> list[Row]:
 
 @_judges("cycles")
 def _cycles(e: Evidence) -> Finding:
-    counts = [number(row["cycles"]) for row in e.walks.gait]
-    if not counts:
+    if not e.walks.seeds:
         return _no(_NO_TWIN)
-    return e.judged(min(counts) >= e.said("cycles"), min(counts), "Fewest of all conditions and seeds.")
+    counts: dict[tuple[str, ...], float] = {}
+    for row in e.walks.gait:
+        walk = tuple(row[key] for key in ("seed", "condition", "robot", "aware", "cap", "main"))
+        counts[walk] = min(counts.get(walk, math.inf), number(row["cycles"]))
+    fallen = e.walks.fallen(seed for seed, *_ in counts)
+    fewest = 0.0 if fallen else min(counts.values())
+    reason = _sentences("Fewest of all conditions and seeds.", _walks_without_cycles(counts), fallen)
+    return e.judged(fewest >= e.said("cycles"), fewest, reason)
+
+
+def _walks_without_cycles(counts: dict[tuple[str, ...], float]) -> str:
+    """Return a sentence on the walks of no cycle; ``counts`` maps a walk (seed first, main last) to its cycles."""
+    lost = [walk for walk, count in counts.items() if not count]
+    if not lost:
+        return ""
+    named = ", ".join(dict.fromkeys(f"{condition} in seed {seed}" for seed, condition, *_ in lost))
+    compared = sum(main == "true" for *_, main in lost)
+    return (
+        f"In {len(lost)} of {len(counts)} walks (a condition in a seed) all walkers fell or took no whole stride: "
+        f"{named}. Of these walks {compared} are at the robot and speed cap that the measurement is compared with."
+    )
 
 
 def _rom_change(e: Evidence, claim: str) -> Finding:
+    if not e.walks.seeds:
+        return _no(_NO_TWIN)
     joint = _JOINTS[claim.removesuffix("_change")]
     rows = [r for r in _gait(e, "prior", joint) if r["rom_change_deg"]]
     found = [number(r["rom_change_deg"]) for r in rows]
+    fallen = e.walks.fallen(r["seed"] for r in rows)
     if not found:
-        return _no(_NO_TWIN)
+        return e.judged(False, None, fallen)
     said = e.said(claim)
     same = [math.copysign(1, value) == math.copysign(1, said) for value in found]
     measured = [number(r["rom_change_deg"]) for r in _gait(e, "walk_robot", joint) if r["rom_change_deg"]]
@@ -648,7 +723,7 @@ def _rom_change(e: Evidence, claim: str) -> Finding:
     )
     if measured:
         reason += f" The person's own walks change by {_short(measured[0], 2)}."
-    return e.judged(all(same), float(np.mean(found)), reason)
+    return e.judged(all(same) and not fallen, float(np.mean(found)), _sentences(reason, fallen))
 
 
 _claim(_rom_change, "hip_change", "knee_change", "ankle_change")
@@ -656,12 +731,16 @@ _claim(_rom_change, "hip_change", "knee_change", "ankle_change")
 
 @_judges("hip_r")
 def _hip_r(e: Evidence) -> Finding:
-    found = [number(r["r_walk_robot"]) for r in _gait(e, "prior", _JOINTS["hip"]) if r["r_walk_robot"]]
-    if not found:
+    hip = _JOINTS["hip"]
+    if not any(number(row["cycles"]) for row in _gait(e, "walk_robot", hip)):
         return _no("No twin walks beside a measured walk with the robot.")
-    reason = f"Per seed: {', '.join(_short(v) for v in found)}."
+    by_seed = {r["seed"]: number(r["r_walk_robot"]) for r in _gait(e, "prior", hip) if r["r_walk_robot"]}
+    found, fallen = list(by_seed.values()), e.walks.fallen(by_seed)
+    if not found:
+        return e.judged(False, None, fallen)
+    reason = _sentences(f"Per seed: {', '.join(map(_short, found))}.", fallen)
     least = e.said("hip_r") - _half_digit(e.claims["hip_r"]["published"])
-    return e.judged(min(found) >= least, float(np.mean(found)), reason)
+    return e.judged(min(found) >= least and not fallen, float(np.mean(found)), reason)
 
 
 def _table3(e: Evidence) -> dict[tuple[str, str], Row]:

@@ -17,9 +17,12 @@ from real2sim.study.twin.adaptation import JOINT_NAMES
 Row = dict[str, str]
 
 SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm", "gamma")
+# Walkers that stayed up, and all walkers, summed over the seeds
+_WALKERS = ("survived", "walkers")
 INTERFACE_COLUMNS = (
     "condition",
     "seeds",
+    *_WALKERS,
     *(part for key in SIGMAS for part in (key, f"{key}_seed_sd", f"published_{key}")),
     "published_place",
     "phantom",
@@ -29,6 +32,7 @@ GAIT_COLUMNS = (
     "joint",
     "condition",
     "seeds",
+    *_WALKERS,
     *(part for key in ANGLES for part in (key, f"{key}_seed_sd", f"published_{key}")),
     "rom_change_deg",
     "rom_change_deg_seed_sd",
@@ -46,6 +50,12 @@ CONDITIONS = {
     "stiff": "stiff, simulated",
 }
 MEASURED = ("walk_normal", "walk_robot")
+_DASH = "\N{EN DASH}"
+# Caption of the columns seeds and survived
+ABOUT_COUNTS = (
+    "Seeds: those in which a walker stayed up. Survived: walkers that stayed up, of all walkers of all seeds; the "
+    "values are theirs."
+)
 
 
 def _over_seeds(rows: Sequence[Row], key: str) -> tuple[float, float]:
@@ -61,9 +71,16 @@ def _over_seeds(rows: Sequence[Row], key: str) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) if simulated else math.nan
 
 
-def _averages(rows: Sequence[Row], keys: Iterable[str], published: Row | None) -> dict[str, Any]:
+def _averages(rows: Sequence[Row], keys: Sequence[str], published: Row | None) -> dict[str, Any]:
+    """Return mean and SD over the seeds of each key, the published values, and how many seeds and walkers these are of.
+
+    ``seeds`` counts the seeds that have a value; seeds in which all walkers fell count in ``survived`` and ``walkers``.
+    """
     measured = bool(rows) and rows[0]["condition"] in MEASURED
-    out: dict[str, Any] = {"seeds": None if measured else len({row["seed"] for row in rows})}
+    valued = {row["seed"] for row in rows if any(math.isfinite(number(row[key])) for key in keys)}
+    out: dict[str, Any] = {"seeds": None if measured else len(valued)}
+    for name in _WALKERS:
+        out[name] = sum(int(row[name]) for row in rows) if rows and all(row[name] for row in rows) else None
     for key in keys:
         out[key], out[f"{key}_seed_sd"] = _over_seeds(rows, key)
         out[f"published_{key}"] = number(published[key]) if published else math.nan
@@ -108,11 +125,20 @@ def gait_rows(rows: Sequence[Row], published: Sequence[Row], phantom: bool) -> l
 def _text(value: Any, decimals: int = 1) -> str:
     """A number for print; a dash where there is none."""
     value = number(value) if isinstance(value, str) else value
-    return f"{value:.{decimals}f}" if value is not None and math.isfinite(value) else "\N{EN DASH}"
+    return f"{value:.{decimals}f}" if value is not None and math.isfinite(value) else _DASH
 
 
 def _significant(text: str) -> str:
-    return f"{number(text):.3g}" if text else "\N{EN DASH}"
+    return f"{number(text):.3g}" if text else _DASH
+
+
+def _counts(row: dict[str, Any]) -> list[str]:
+    """Cells of the seeds with a value and of the walkers that stayed up; a dash where nothing was simulated."""
+    known = row["walkers"] is not None
+    return [
+        _DASH if row["seeds"] is None else str(row["seeds"]),
+        f"{row['survived']}/{row['walkers']}" if known else _DASH,
+    ]
 
 
 def _with_sd(row: dict[str, Any], key: str) -> str:
@@ -146,7 +172,7 @@ def paper_tables(
     """
     files = {path.name: path for path in out}
     theirs = {path.stem: read_table(path, ("condition", "place")) for path in published}
-    prior_rows = read_table(priors, ("parameter", "phantom"))
+    prior_rows = read_table(priors, ("parameter", "source", "status", "phantom"))
     phantom = any(row["phantom"] == "true" for row in prior_rows)
     walked = _compared(read_table(gait), subject) if gait else []
     clouds = _compared(read_table(interface), subject) if interface else []
@@ -167,30 +193,35 @@ def paper_tables(
         write_text(files[name], text)
 
 
+def is_published(source: str) -> bool:
+    """Return whether a prior of this source is the paper's, in place of one of the fits."""
+    return source.startswith("published")
+
+
+def missing_priors(statuses: Iterable[str]) -> str:
+    """Return the sentence of a caption on the dashes in place of priors of the fits; ``statuses`` are the reasons."""
+    return f"Dash: no prior of the fits ({'; '.join(dict.fromkeys(statuses))})."
+
+
+def _prior_cells(row: Row, who: str) -> list[str]:
+    """Prior, interval and class, of the fits or, with ``who`` = published_, of the paper."""
+    ends = (_significant(row[f"{who}interval_{end}"]) for end in ("low", "high"))
+    return [_significant(row[f"{who}prior"]), f"[{', '.join(ends)}]", row[f"{who}class"]]
+
+
 def _priors_tex(rows: Sequence[Row], phantom: bool) -> str:
-    printed = []
+    printed, missing = [], []
     for row in rows:
-        ours, theirs = (
-            f"[{_significant(row[f'{who}interval_low'])}, {_significant(row[f'{who}interval_high'])}]"
-            for who in ("", "published_")
-        )
-        value, published = _significant(row["prior"]), _significant(row["published_prior"])
-        printed.append(
-            [
-                row["parameter"],
-                row["unit"],
-                value,
-                ours,
-                row["class"],
-                published,
-                theirs,
-                row["published_class"],
-            ]
-        )
+        ours = _prior_cells(row, "")
+        if is_published(row["source"]):
+            ours = [_DASH] * len(ours)
+            missing.append(row["status"])
+        printed.append([row["parameter"], row["unit"], *ours, *_prior_cells(row, "published_")])
+    caption = "Priors: geometric mean and central 95 % of the fits, beside the published ones (Table I)."
     return latex_table(
         ["Parameter", "Unit", "Prior", "Interval", "Class", "Published", "Interval", "Class"],
         printed,
-        caption="Priors: geometric mean and central 95 % of the fits, beside the published ones (Table I).",
+        caption=f"{caption} {missing_priors(missing)}" if missing else caption,
         label="tab:priors",
         columns="llrllrll",
         phantom=phantom,
@@ -198,11 +229,11 @@ def _priors_tex(rows: Sequence[Row], phantom: bool) -> str:
 
 
 def _interface_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) -> str:
-    head = ["Condition"]
+    head = ["Condition", "Seeds", "Survived"]
     for name in ("x", "y", "z"):
         head += [f"σ {name} (mm)", "published"]
     printed = [
-        [CONDITIONS[row["condition"]]]
+        [CONDITIONS[row["condition"]], *_counts(row)]
         + [text for key in SIGMAS[:3] for text in (_with_sd(row, key), _text(row[f"published_{key}"], 2))]
         + [_text(row["gamma"], 2), _text(row["published_gamma"], 3)]
         for row in rows
@@ -211,7 +242,7 @@ def _interface_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) 
         [*head, "γ", "published"],
         printed,
         caption=f"Spread of the interface about the pelvis{_of(subject)}, mean and SD over seeds, beside the published "
-        "one (Table II).",
+        f"one (Table II). {ABOUT_COUNTS}",
         label="tab:interface",
         phantom=phantom,
     )
@@ -222,6 +253,7 @@ def _gait_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) -> st
         [
             JOINT_NAMES[row["joint"]],
             CONDITIONS[row["condition"]],
+            *_counts(row),
             _with_sd(row, "rom_deg"),
             _text(row["published_rom_deg"]),
             _with_sd(row, "peak_deg"),
@@ -230,12 +262,12 @@ def _gait_tex(rows: Sequence[dict[str, Any]], subject: str, phantom: bool) -> st
         for row in rows
     ]
     return latex_table(
-        ["Joint", "Condition", "RoM (deg)", "published", "Peak (deg)", "published"],
+        ["Joint", "Condition", "Seeds", "Survived", "RoM (deg)", "published", "Peak (deg)", "published"],
         printed,
         caption=f"Range of motion and peak angle{_of(subject)}, mean and SD over seeds, beside the published ones "
-        "(Table III).",
+        f"(Table III). {ABOUT_COUNTS}",
         label="tab:gait",
-        columns="llrrrr",
+        columns="llrrrrrr",
         phantom=phantom,
     )
 

@@ -648,7 +648,10 @@ def wrench_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return one row per condition and joint: free, coupled and measured."""
+    """Return one row per condition and joint: free, coupled and measured.
+
+    A condition in which all walkers fell or took no whole stride has rows with 0 cycles and no angles.
+    """
     rows = []
     for first, known in _cases(r):
         name = first["condition"]
@@ -656,11 +659,10 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
         base = r["measured"].get("walk_normal") if name in r["measured"] else r["free"] if coupled else None
         for joint in SAGITTAL:
             j = known["joints"][joint]
-            if not j["cycles"]:
-                continue
+            rom, rom_sd = j.get("rom_deg", (None, None))
             change = None
-            if base is not None and base[joint]["cycles"]:
-                change = j["rom_deg"][0] - base[joint]["rom_deg"][0]
+            if rom is not None and base is not None and base[joint]["cycles"]:
+                change = rom - base[joint]["rom_deg"][0]
             rows.append(
                 {
                     "subject": subject,
@@ -669,10 +671,10 @@ def gait_rows(subject: str, r: dict[str, Any]) -> list[dict[str, Any]]:
                     **first,
                     "joint": joint,
                     "cycles": j["cycles"],
-                    "rom_deg": j["rom_deg"][0],
-                    "rom_sd_deg": j["rom_deg"][1],
+                    "rom_deg": rom,
+                    "rom_sd_deg": rom_sd,
                     "rom_change_deg": change,
-                    "peak_deg": j["peak_deg"][0],
+                    "peak_deg": j["peak_deg"][0] if j["cycles"] else None,
                     "r_walk_robot": j.get("r") if coupled else None,
                     "rom_paper_deg": r["paper"]["angles"].get(joint, {}).get(name, {}).get("rom_deg"),
                 }

@@ -73,6 +73,16 @@ def test_a_drive_of_another_scale_is_named_and_friction_is_none(scale, odd):
         assert found[0].file == "second"
 
 
+def test_an_empty_cell_of_a_drive_is_no_other_scale_and_a_drive_of_zeros_is():
+    smooth = 0.1 * np.sin(2 * np.pi * TIME) * np.sin(np.pi * TIME / 4)
+    (drive,) = SYSTEM.drive.columns.values()
+    rate, broken = _driven(smooth)
+    broken[drive][700] = np.nan
+    assert not list(drive_scales(SYSTEM, {"first": _driven(smooth), "second": (rate, broken)}, 1.5))
+    (found,) = drive_scales(SYSTEM, {"first": _driven(smooth), "second": _driven(smooth, 0.0)}, 1.5)
+    assert "asks for inf times" in found.message
+
+
 @pytest.mark.parametrize(
     ("values", "place"), [((30.2, 21.0), "mass, d_x"), ((95.0, 20.0), None), ((95.0, 203.0), None)]
 )

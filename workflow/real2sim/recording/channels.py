@@ -106,19 +106,20 @@ def drive_scales(
             n: _motion(columns[outputs[joint]], rate, system.band_hz)
             for n, (rate, columns) in recordings.items()
         }
-        force = {n: columns[column] for n, (_, columns) in recordings.items()}
+        force = {n: signals.bridged(columns[column][:, None])[:, 0] for n, (_, columns) in recordings.items()}
         first = next(iter(recordings))
         law = np.linalg.lstsq(terms[first], force[first], rcond=None)[0]
         for name in list(recordings)[1:]:
             asked = terms[name] @ law
             scale = float(asked @ force[name] / (asked @ asked)) if asked.any() else 1.0
             if not 1 / most <= scale <= most:
+                times = 1 / scale if scale else float("inf")
                 yield Finding(
                     "drive_scale",
                     "warning",
                     name,
                     column,
-                    f"by the linear law of {first} the motion asks for {1 / scale:.3g} times the force of this column",
+                    f"by the linear law of {first} the motion asks for {times:.3g} times the force of this column",
                     "Used as it is. Check unit and gain of both recordings: one drive scale has to hold in all.",
                 )
 

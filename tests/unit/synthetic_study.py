@@ -35,6 +35,7 @@ STATISTICS = {
     "regression": {"predictors": ["mass_kg", "height_m", "waist_m"], "people_per_predictor": 10},
 }
 TIGHTNESS = {"bootstrap": 100, "permutations": 99, "seed": 1, "alpha": 0.05, "min_levels": 6}
+PAPER_TABLES = ("table1_priors", "table2_interface", "table3_gait", "cross_trial")
 PUBLISHED = Path(__file__).parents[2] / "resources" / "published"
 CLAIM_TABLES = (
     "claims",
@@ -180,10 +181,9 @@ def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[st
     return tables
 
 
-def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
-    twin = write_twin(folder / "twin")
-    names = ("table1_priors", "table2_interface", "table3_gait", "cross_trial")
-    out = [folder / "paper" / f"{name}.{kind}" for name in names for kind in ("csv", "tex")]
+def write_paper(folder: Path, given: dict[str, Any], twin: dict[str, Path]) -> list[Path]:
+    """Write the paper's tables into a folder and return them, each as CSV and LaTeX, in the order of `PAPER_TABLES`."""
+    out = [folder / f"{name}.{kind}" for name in PAPER_TABLES for kind in ("csv", "tex")]
     paper_tables(
         priors=given["priors"],
         cross_trial=given["cross_trial"],
@@ -193,6 +193,12 @@ def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
         gait=twin["gait"],
         interface=twin["interface"],
     )
+    return out
+
+
+def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
+    twin = write_twin(folder / "twin")
+    out = write_paper(folder / "paper", given, twin)
     return {"interface": out[2], "gait": out[4], "bars": twin["bars"]}
 
 

@@ -12,10 +12,17 @@ from real2sim.artefacts import number, read_table, write_table
 from real2sim.errors import InputError
 from real2sim.study.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
 from real2sim.study.paper.latex import escaped, latex_table, macro_name, macros
-from real2sim.study.paper.tables import paper_figures, paper_tables
-from synthetic_study import CLAIM_TABLES, PUBLISHED, claim_arguments, write_refined, write_study, write_twin
+from real2sim.study.paper.tables import paper_figures
+from synthetic_study import (
+    CLAIM_TABLES,
+    PUBLISHED,
+    claim_arguments,
+    write_paper,
+    write_refined,
+    write_study,
+    write_twin,
+)
 
-PAPER_TABLES = ("table1_priors", "table2_interface", "table3_gait", "cross_trial")
 LIBRARY = Path(__file__).parents[2] / "workflow" / "real2sim"
 
 
@@ -252,16 +259,7 @@ def test_tables_ii_and_iii_count_the_seeds_with_a_value_and_who_stayed_up(study,
     _, given = study
     twin = write_twin(tmp_path / "twin")
     _fall(twin, ("2", "3"))
-    out = [tmp_path / f"{name}.{kind}" for name in PAPER_TABLES for kind in ("csv", "tex")]
-    paper_tables(
-        priors=given["priors"],
-        cross_trial=given["cross_trial"],
-        published=[PUBLISHED / "table2_interface.csv", PUBLISHED / "table3_gait.csv"],
-        out=out,
-        subject="S99",
-        gait=twin["gait"],
-        interface=twin["interface"],
-    )
+    out = write_paper(tmp_path, given, twin)
     counts = ("seeds", "survived", "walkers")
     sway = {row["condition"]: row for row in read_table(out[2])}
     assert [sway["prior"][key] for key in counts] == ["1", "8", "24"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, prior_widths
 from real2sim.diagnosis.search import Pair, failed
 from real2sim.diagnosis.sensors import by_sensor
 from real2sim.inference.least_squares import bounded_step
@@ -65,7 +65,8 @@ def predict_further(
         r, jacobian = r[: evidence.samples], jacobian[: evidence.samples]
         moved[own] = 0.0
         known[own], known[:, own] = 0.0, 0.0
-        known[own, own] = 1 / _prior_sd(problem)[own] ** 2
+        width = prior_widths(problem.prior_sd, problem.lower, problem.upper)
+        known[own, own] = 1 / width[own] ** 2
         if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
             out.append(Predicted(failed(len(evidence.sensors)), 0.0))
             continue
@@ -85,12 +86,6 @@ def predict_further(
         out.append(Predicted(tuple(left), moved_by))
         known, moved = more, moved + step
     return out
-
-
-def _prior_sd(problem: JointResiduals) -> np.ndarray:
-    """Return the prior SD (n + p,) of the searched numbers: of the uniform distribution where no Gaussian is given."""
-    uniform = (problem.upper - problem.lower) / np.sqrt(12)
-    return np.where(np.isfinite(problem.prior_sd), problem.prior_sd, uniform)
 
 
 def _of_each_trial(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:

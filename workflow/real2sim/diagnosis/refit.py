@@ -185,8 +185,7 @@ class JointResiduals(least_squares.Residuals):
         """
         free = self.free
         uniform = ~np.isfinite(self.prior_sd[free])
-        width = self.upper[free] - self.lower[free]
-        sd = np.where(uniform, width / np.sqrt(12), self.prior_sd[free])
+        sd = prior_widths(self.prior_sd, self.lower, self.upper)[free]
         curvature = jacobian.T @ jacobian
         curvature[np.diag_indices_from(curvature)] += np.where(uniform, 1 / sd**2, 0.0)
         _, log_volume = np.linalg.slogdet(curvature * np.outer(sd, sd))
@@ -301,3 +300,11 @@ def refit(
         residuals, start, residuals.free, iterations=iterations, ftol=ftol, keep=keep, known=known
     )
     return z, cost
+
+
+def prior_widths(prior_sd: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the SD (n,) of each prior: ``prior_sd`` (n,), or that of a uniform one where it is infinite.
+
+    ``lower`` and ``upper`` (n,) are the bounds of the uniform one.
+    """
+    return np.where(np.isfinite(prior_sd), prior_sd, (upper - lower) / np.sqrt(12))

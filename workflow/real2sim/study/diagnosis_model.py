@@ -27,17 +27,15 @@ from real2sim.system.export import HOW_IT_IS_DRIVEN, START_KEY, baked, to_mjcf, 
 
 # Entries of diagnosis.json that are read
 _READ = (
-    *(
-        "subject",
-        "phantom",
-        "train",
-        "verdict",
-        "verdict_set",
-        "parameters",
-        "model",
-        "free_form",
-        "robot_holds",
-    ),
+    "subject",
+    "phantom",
+    "train",
+    "verdict",
+    "verdict_set",
+    "parameters",
+    "model",
+    "free_form",
+    "robot_holds",
     "settings",
 )
 _PACKAGES = ["mujoco", "numpy", "scipy"]

@@ -14,6 +14,7 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
     next_trial,
     share_of_other,
+    shares_of,
     unexplained,
 )
 
@@ -91,6 +92,16 @@ def test_a_measured_law_that_leaves_less_than_every_name_is_an_unknown_cause():
         Candidate(("memory ty",), (2_800.0, 2_900.0), occam=160.0, unlisted=True),
     ]
     assert decide(plain, alike, (2880, 2880), CALIBRATION).verdict == "relaxation"
+
+
+def test_measured_laws_share_what_is_unknown_by_their_evidence():
+    good = Candidate(("memory ty",), (2_800.0, 2_900.0), occam=60.0, unlisted=True)
+    alike = Candidate(("elastic ty",), (2_805.0, 2_905.0), occam=60.0, unlisted=True)
+    worse = Candidate(("external base_x",), (5_800.0, 6_900.0), occam=60.0, unlisted=True)
+    shares = shares_of([worse, good, alike], (2880, 2880), CALIBRATION)
+    assert shares.sum() == pytest.approx(1)
+    assert shares[1] > shares[2] > 0.3
+    assert shares[0] < 1e-6
 
 
 def test_an_effect_that_could_have_been_more_things_pays_for_it():

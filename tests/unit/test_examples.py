@@ -6,6 +6,7 @@ import importlib.util
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 import real2sim
 from real2sim.verification.systems import one_axis
@@ -69,6 +70,16 @@ def test_a_law_without_a_name_is_measured_and_drawn(tmp_path):
     assert own["units"] == ["N"]
     assert len(own["forces"][0]) == len(own["time_s"])
     assert own["parameters"].keys() == answer.answer.parameters.keys()
+    # where the gap lies and how far it closes is told of the law: no name is behind the answer
+    where, gap = answer.answer.where, answer.answer.gap
+    assert (where["stage"], where["axes"]) == ("interface", {"x": 1.0})
+    assert where["stages"]["interface"] == pytest.approx(1.0, abs=0.02)
+    assert gap["chi2_best"] == answer.free_form["chi2"]
+    assert gap["J_with_effect"] < gap["J_base"]
+    traces = answer.answer.traces()
+    with_law = [name for name in traces if name.startswith("with_effect")]
+    assert any(not np.array_equal(traces[n], traces[n.replace("with_effect", "plain")]) for n in with_law)
+    assert answer.answer.fitted.effects == ()
 
 
 @pytest.mark.parametrize("name", ["cuff", "drba", "emps", "strap"])

@@ -11,7 +11,13 @@ from real2sim.__main__ import main
 from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.pages.diagnosis import answer_probability, answer_words, diagnosis_page, diagnosis_table
+from real2sim.pages.diagnosis import (
+    answer_probability,
+    answer_words,
+    chi2_closed,
+    diagnosis_page,
+    diagnosis_table,
+)
 from real2sim.pages.page import likely
 from real2sim.pages.style import PHANTOM_LABEL
 from real2sim.pages.suite import suite_page
@@ -328,6 +334,24 @@ def test_page_of_an_unknown_cause_shows_the_law_that_was_measured(tmp_path):
     assert "It is no proof of a cause" in text
     assert "q_ty^2" in text
     assert "goes beyond the range of what the measured law depends on" in text
+
+
+def test_an_unknown_cause_is_told_by_its_law_wherever_answers_are_listed(tmp_path):
+    d = _diagnosis("unknown", free_form=_law())
+    d["gap"] |= {"J_with_effect": 0.145, "chi2_best": [110, 120]}
+    assert answer_words(d) == "unknown: elastic along ty"
+    assert chi2_closed(d) == pytest.approx(680 / 700)
+    text = _page(tmp_path, d).text
+    assert "costs J = 0.61 and the model with the measured law 0.145 where noise alone costs 0.12" in text
+    assert "The gap lies most likely in the interface law (the strap), along ty." in text
+    assert "the plain model 8 and the model with the measured law 1.2" in text
+    table = tmp_path / "diagnosis.csv"
+    diagnosis_table(diagnoses=[tmp_path / "diagnosis.json"], out=table)
+    row = read_table(table, ("law", "gap_closed"))[0]
+    assert (row["law"], float(row["gap_closed"])) == ("elastic along ty", pytest.approx(0.465 / 0.49))
+    without = _diagnosis("unknown", free_form=None)
+    assert answer_words(without) == "unknown"
+    assert chi2_closed(without) is None
 
 
 def _law():

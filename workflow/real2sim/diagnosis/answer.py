@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision, averaged, next_trial, share_of_other
+from real2sim.diagnosis.decide import (
+    NONE,
+    UNKNOWN,
+    Decision,
+    averaged,
+    next_trial,
+    share_of_other,
+    shares_of,
+)
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
@@ -147,9 +156,9 @@ class Diagnosis:
         return self.fits.fitted
 
     def traces(self) -> dict[str, np.ndarray]:
-        """Return columns (n,) of the trial that shows the gap: time [s]; measured, plain and with effect."""
-        pair = self.found.pair
-        return pair.shown.traces(self.fits.plain_path, simulate(pair.shown, pair, self.fitted))
+        """Return columns (n,) of the trial that shows the gap: time [s]; measured, plain, with effect or law."""
+        pair, explained = self.found.pair, self.fits.law or self.fitted
+        return pair.shown.traces(self.fits.plain_path, simulate(pair.shown, pair, explained))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what diagnosis.json says of the answer."""
@@ -224,7 +233,7 @@ def answer(
     if machines:
         decision = with_others(decision, machines, options, named)
     progress(f"verdict {decision.verdict}")
-    account = _Account(found, decision, settings, _configured(machines, found.pair))
+    account = _Account(found, decision, settings, _configured(machines, found.pair), measured)
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:
         # averaging over initial states and machines scales the probability of every set by this
@@ -346,7 +355,14 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
 class _Account:
     """Account of one search and its decision."""
 
-    def __init__(self, found: Found, decision: Decision, settings: Settings, before: Machine | None = None):
+    def __init__(
+        self,
+        found: Found,
+        decision: Decision,
+        settings: Settings,
+        before: Machine | None = None,
+        measured: Measured | None = None,
+    ):
         # the gap is that of the machine that the study is configured with
         self._before, self._before_pair, self._machine = found.attribution.plain, found.pair, before
         if before is not None:
@@ -354,7 +370,11 @@ class _Account:
         self._found, self._decision, self._settings = found, decision, settings
         self._report: DiagnosisReportSettings = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
-        self._best = chosen(found.attribution, decision)
+        self._measured = measured if decision.verdict == UNKNOWN else None
+        self._law = None if self._measured is None else self._shown(self._measured)
+        # what is named, and what explains most: a law without a name is none of the model's effects
+        self._named = chosen(found.attribution, decision)
+        self._best = self._named if self._law is None else self._law.hypothesis
         shown = found.pair.shown
         self._plain_path = simulate(self._before_pair.shown, self._before_pair, self._before)
         self._floor_draws = shown.floor_draws()
@@ -371,7 +391,7 @@ class _Account:
             decision.probabilities,
             list(decision.group),
             self.causes(),
-            self._where(named),
+            self._where(),
             self._gap(),
             self._noise_floor(),
             self._parameters(named),
@@ -379,7 +399,12 @@ class _Account:
             baselines,
             next_trial(decision, self._report["next_trial_certain"]),
             otherwise,
-            Fits(self._found, self._best, self._plain_path),
+            Fits(
+                self._found,
+                self._named,
+                self._plain_path,
+                None if self._law is None else self._law.hypothesis,
+            ),
         )
 
     def _further(self) -> list[dict[str, Any]]:
@@ -428,20 +453,45 @@ class _Account:
             "further": self._further(),
         }
 
-    def _where(self, named: bool) -> dict[str, Any]:
-        shown = self._pair.shown
+    def _where(self) -> dict[str, Any]:
+        shown, about = self._pair.shown, self._about_law
+        is_explained = self._best is not self._before
+        explained = simulate(shown, self._pair, self._best) if is_explained else None
         stages = _stages(self._attribution, self._decision)
-        named = named or self._before is not self._attribution.plain
-        explained = simulate(shown, self._pair, self._best) if named else None
-        placed = [p for p in self._best.effects if p.effect.name == self._decision.verdict]
+        if self._law is not None and self._measured is not None:
+            stages = self._with_laws(stages, self._measured)
+        axes = [axis for p in self._named.effects for axis in p.axes]
+        axes += [] if about is None else [axis for family in about["families"] for axis in family["axes"]]
+        measured = shown.axis_shares(self._plain_path)
         return {
-            "stage": placed[0].effect.stage if placed else self._stage_without_effect(stages),
+            "stage": self._stage(stages) if about is None else about["stage"],
             "stages": stages,
-            "axes": _axes(self._best, shown.axis_shares(self._plain_path), self._report["axis_share"]),
+            "axes": _on_axes(axes, measured, self._report["axis_share"]),
         } | shown.locate(self._plain_path, explained)
 
-    def _stage_without_effect(self, stages: dict[str, float]) -> str:
-        """Return the stage with the likeliest effects; that of the machine where another one explains the gap."""
+    def _with_laws(self, stages: Mapping[str, float], measured: Measured) -> dict[str, float]:
+        """Return the probability of each stage where `unknown` is shared out between measured laws, by evidence.
+
+        ``stages`` are those of the names.
+        """
+        options, out = self._settings["diagnosis"], dict(stages)
+        laws = [
+            self._found.candidate(law.hypothesis, options, [family.key for family in law.families])
+            for law in measured.laws
+        ]
+        shares = shares_of(laws, self._found.samples, options["calibration"])
+        for law, share in zip(measured.laws, shares.tolist(), strict=True):
+            out[law.families[0].stage] += self._decision.probabilities[UNKNOWN] * share
+        return out
+
+    def _stage(self, stages: Mapping[str, float]) -> str:
+        """Return the stage of the named effect, else the one with the likeliest effects.
+
+        That of the machine where another one explains the gap.
+        """
+        placed = [p for p in self._named.effects if p.effect.name == self._decision.verdict]
+        if placed:
+            return placed[0].effect.stage
         if self._before is not self._attribution.plain and self._decision.verdict == NONE:
             return "robot"
         return max(stages, key=lambda s: stages[s])
@@ -449,12 +499,12 @@ class _Account:
     def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
         system = self._pair.system
         samples = self._attribution.samples[0]
-        known = parameter_verdicts(self._pair, self._best, samples, self._settings)
+        known = parameter_verdicts(self._pair, self._named, samples, self._settings)
         # another machine may come with other parameters
         base = dict(zip(system.parameter_names, system.values(self._attribution.plain.base), strict=True))
         other = self._before_pair.system
         base |= dict(zip(other.parameter_names, other.values(self._before.base), strict=True))
-        fitted = system.values(self._best.base)
+        fitted = system.values(self._named.base)
         return {
             p.name: {
                 "base": float(base[p.name]),
@@ -482,7 +532,7 @@ class _Account:
         out: list[Cause] = []
         for rank, name in enumerate(sorted(best, key=lambda n: -self._decision.probabilities[n])):
             told = self._decision.probabilities[name] >= least
-            detailed = rank < most or name in self._best.names
+            detailed = rank < most or name in self._named.names
             if told or detailed:
                 out.append(self._cause(best[name], name, detailed=detailed, told=told))
         return out
@@ -532,11 +582,8 @@ class _Account:
             seen = could_have_shown(self._pair, self._attribution.plain, options)
             return replace(result, beyond=Beyond(could_show=seen))
         beyond = Beyond()
-        if decision.verdict == UNKNOWN and measured is not None:
-            law = self._shown(measured)
-            if law is not None:
-                beyond = Beyond(free_form=self._free_form(measured, law))
-                result = replace(result, fits=replace(result.fits, law=law.hypothesis))
+        if self._about_law is not None:
+            beyond = Beyond(free_form=self._about_law)
         elif misfit is not None:
             beyond = Beyond(misfit=misfit.to_dict(self._found))
         if result.next_trial is None or imagine is None:
@@ -555,12 +602,15 @@ class _Account:
         least = self._settings["diagnosis"]["free_form"]["least_closed"]
         return next((law for law in measured.laws if self._share(law.hypothesis) >= least), None)
 
-    def _free_form(self, measured: Measured, law: Law) -> dict[str, Any]:
-        """Return what diagnosis.json says of a measured law."""
-        pair, nearest = self._pair, _nearest(self._attribution)
+    @cached_property
+    def _about_law(self) -> dict[str, Any] | None:
+        """Account of the law that is shown, as in diagnosis.json; None where none is."""
+        if self._law is None or self._measured is None:
+            return None
+        pair, law, nearest = self._pair, self._law, _nearest(self._attribution)
         closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
-        others = [other for other in measured.laws if other is not law]
-        about = describe(pair, law, others, measured.library)
+        others = [other for other in self._measured.laws if other is not law]
+        about = describe(pair, law, others, self._measured.library)
         about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis)}
         about["nearest"] = None
         if nearest.names:
@@ -699,11 +749,10 @@ def _independent_noise(evidence: Evidence, attribution: Attribution) -> dict[str
     return {rule: names[int(np.nanargmin(score))] for rule, score in scores.items()}
 
 
-def _axes(best: Hypothesis, measured: dict[str, float], added: float) -> dict[str, float]:
-    """Return axes of the cause where it has some, weighted by the measured share plus ``added``; else that share."""
-    named = [axis for placed in best.effects for axis in placed.axes]
-    if not named:
+def _on_axes(cause: Sequence[str], measured: dict[str, float], added: float) -> dict[str, float]:
+    """Return the axes of a cause where it has some, weighted by the measured share plus ``added``; else that share."""
+    if not set(cause) & set(measured):
         return measured
-    weights = {axis: (1.0 if axis in named else 0.0) * (share + added) for axis, share in measured.items()}
+    weights = {axis: (1.0 if axis in cause else 0.0) * (share + added) for axis, share in measured.items()}
     total = sum(weights.values())
     return {axis: weight / total for axis, weight in weights.items()}

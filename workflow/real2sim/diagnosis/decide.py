@@ -194,6 +194,17 @@ def logits(
     return np.array([*rows, 0.0, np.logaddexp(unknown, alike)])
 
 
+def shares_of(
+    laws: Sequence[Candidate], samples: tuple[int, ...], calibration: DiagnosisCalibrationSettings
+) -> np.ndarray:
+    """Return the share (n,) of each measured law in the probability of `unknown`, by evidence as between listed sets.
+
+    ``samples`` are the residuals of each trial.
+    """
+    left = min(law.beyond(samples, calibration["noise_share"]) for law in laws)
+    return np.asarray(np.exp(_among(laws, left, calibration)))
+
+
 def _among(sets: Sequence[Candidate], left: float, c: DiagnosisCalibrationSettings) -> np.ndarray:
     """Log-probabilities of sets beside each other, where even the best one leaves so much beyond noise."""
     best = min(x.deviance for x in sets)

@@ -20,7 +20,7 @@ from real2sim.diagnosis.sensors import above
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
-from real2sim.pages.law import law_section, misfit_sentence
+from real2sim.pages.law import law_section, law_words, misfit_sentence
 from real2sim.pages.page import (
     bar,
     document,
@@ -46,6 +46,7 @@ COLUMNS = (
     "subject",
     "verdict",
     "verdict_set",
+    "law",
     "probability",
     "robot",
     "stage",
@@ -124,18 +125,20 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     """Write one row per person: verdict, probability, stage, axes, J with and without the effect, next trial.
 
     Costs J, probability and gap_closed (share of J above its floor) have no unit. ``stage`` and ``axes`` are empty
-    where the verdict is none, ``gap_closed`` also where it is unknown. ``misfit_sd`` is what a named cause leaves of
+    where the verdict is none, ``gap_closed`` also where it is unknown and no law was measured. ``law`` is the kind and
+    the place of that law; it is what J is told with and without. ``misfit_sd`` is what a named cause leaves of
     the held-out trial, in standard deviations of noise, where its form is not right.
     """
     rows = []
     for path in diagnoses:
         d = read_json(path, _KEYS)
-        named, gap = is_explained(d), d["gap"]
+        named, gap, law = is_explained(d), d["gap"], _law(d)
         rows.append(
             {
                 "subject": d["subject"],
                 "verdict": d["verdict"],
                 "verdict_set": " ".join(_set(d)),
+                "law": None if law is None else law_words(law),
                 "probability": d["probabilities"][d["verdict"]],
                 "robot": None if d.get("machine") is None else d["machine"]["name"],
                 "stage": None if not shows_gap(d) else d["where"]["stage"],
@@ -169,8 +172,16 @@ def other_robot(d: Mapping[str, Any]) -> str | None:
 
 
 def _remedy(d: Mapping[str, Any]) -> str:
-    """Word for what closes the gap: another robot where no effect is named beside it."""
+    """Word for what closes the gap: another robot where no effect is named beside it, the measured law for unknown."""
+    if _law(d) is not None:
+        return "measured law"
     return "other robot" if d["verdict"] == "none" and other_robot(d) else "effect"
+
+
+def _law(d: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The measured law that an unknown cause is told by; None where a name or nothing is."""
+    law: Mapping[str, Any] | None = d.get("free_form") if d["verdict"] == "unknown" else None
+    return law
 
 
 def shows_gap(d: Mapping[str, Any]) -> bool:
@@ -179,16 +190,21 @@ def shows_gap(d: Mapping[str, Any]) -> bool:
 
 
 def is_explained(d: Mapping[str, Any]) -> bool:
-    """Return whether diagnosis.json finds what explains the gap: effects, or another robot without any."""
-    return d["verdict"] not in _NOT_EFFECTS or (d["verdict"] == "none" and shows_gap(d))
+    """Return whether diagnosis.json finds what explains the gap: effects, a measured law, or another robot alone."""
+    if d["verdict"] == "unknown":
+        return _law(d) is not None
+    return shows_gap(d)
 
 
 def answer_words(d: Mapping[str, Any]) -> str:
-    """Effects that diagnosis.json names together, or none or unknown; first the robot where it is another one."""
-    names, robot = _set(d), other_robot(d)
+    """Effects that diagnosis.json names together, none, or unknown with its law; first another robot, if it is one."""
+    names, robot, law = _set(d), other_robot(d), _law(d)
+    about = "" if law is None else f": {law_words(law)}"
     if robot is None:
-        return " + ".join(_words(name) for name in names)
-    return " + ".join([f"another robot, {robot}", *(_words(name) for name in names if name != "none")])
+        return " + ".join(_words(name) for name in names) + about
+    return (
+        " + ".join([f"another robot, {robot}", *(_words(name) for name in names if name != "none")]) + about
+    )
 
 
 def answer_probability(d: Mapping[str, Any]) -> float:
@@ -201,7 +217,7 @@ def answer_probability(d: Mapping[str, Any]) -> float:
 
 
 def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Chi-squared per residual on the trial that shows the gap, plain and with the effect; None in old answers.
+    """Chi-squared per residual on the trial that shows the gap, plain and with effect or law; None in old answers.
 
     A sensor on its floor counts for no less than one per residual, as where the diagnosis asks what stands above noise.
     """
@@ -218,7 +234,7 @@ def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:
 
 
 def chi2_closed(d: Mapping[str, Any]) -> float | None:
-    """Share of chi-squared above noise that goes with the named cause; None where none is named or nothing stood there.
+    """Share of chi-squared above noise that goes with effect or law; None where neither is or nothing stood there.
 
     What fits better than noise closes all.
     """
@@ -319,7 +335,7 @@ def _trial(d: Mapping[str, Any]) -> str:
         return str(d["next_trial"])
     if _hangs_on_hold(d):
         return "the same trials, begun where the strap pulls at nothing, in the pose of neutral"
-    if d["verdict"] == "unknown" and d.get("free_form") is not None:
+    if _law(d) is not None:
         return "one that goes beyond the range of what the measured law depends on, and comes back to rest in between"
     if d["verdict"] == "unknown":
         return "the catalogue has none for a cause that it does not hold; start from where the gap lies"
@@ -414,10 +430,11 @@ def _verdict(d: Mapping[str, Any]) -> str:
         )
     if d["verdict"] == "unknown":
         best = max((c["gap_closed"] for c in d["causes"] if c.get("gap_closed") is not None), default=None)
-        tried = "" if best is None else f" and the best of the catalogue closes {percent(best)} of the gap"
+        tried = "" if best is None else f", and the best of the catalogue closes {percent(best)} of the gap"
+        with_law = "" if _law(d) is None else f" and the model with the measured law {after}"
         return (
             f"The cause is unknown: with a probability of {likely(p['unknown'])} it is none that the catalogue holds; "
-            f"on {trial} the plain model costs J = {base} where noise alone costs {floor}{tried}."
+            f"on {trial} the plain model costs J = {base}{with_law} where noise alone costs {floor}{tried}."
         )
     names = _set(d)
     each = " and ".join(likely(p[name]) for name in names)
@@ -489,7 +506,7 @@ def _groups(d: Mapping[str, Any]) -> tuple[dict[str, dict[str, float]], dict[str
     """Shares by title: those of place, those of regime."""
     where = d["where"]
     place = {
-        "Stage: probability of its effects": where.get("stages", {}),
+        "Stage: probability of its effects and laws": where.get("stages", {}),
         "Interface axis": {f"{a} ({_AXIS_WORDS.get(a, a)})": s for a, s in where["axes"].items()},
         "World axis": where.get("world_axes", {}),
         "Side": {{"L": "left", "R": "right"}.get(k, k): v for k, v in where["sides"].items()},
@@ -532,7 +549,7 @@ def _place(d: Mapping[str, Any]) -> str:
             "There is no gap to place: the shares below only say where chance put the small excess over noise, and the "
             f"stage is that of effects {of}."
         )
-    if d["verdict"] == "unknown":
+    if d["verdict"] == "unknown" and _law(d) is None:
         return f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}."
     return f"The gap lies most likely in the {stage}, along {axes}."
 
@@ -557,7 +574,7 @@ def _where(d: Mapping[str, Any]) -> str:
             place,
             "place",
             f"Shares of the plain model's J above noise on {trial}, by place. Stages show the probability of their "
-            "effects; what they lack to 100 % is none and unknown.",
+            "effects and of laws measured there; what they lack to 100 % is none, and unknown without a law.",
         ),
         _panels(
             d,
@@ -809,7 +826,7 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
             if sd is None
             else f"; grey, two standard deviations of what noise alone gives (SD {rounded(1e3 * sd)} mm)"
         )
-        nothing = " No effect was named, so there is no second curve." if same else ""
+        nothing = " Nothing was found that explains it, so there is no second curve." if same else ""
         return picture(
             figure,
             "traces",

@@ -44,6 +44,13 @@ def law_section(law: Mapping[str, Any] | None, *, phantom: bool) -> list[str]:
     return [section("law", "The law that was measured", *parts)]
 
 
+def law_words(law: Mapping[str, Any]) -> str:
+    """Return kind and place of a law in a few words, for a row of a table."""
+    if law["kind"] == "measurement":
+        return "interface markers displaced" if law["stage"] == "output" else "segment displaced"
+    return f"{law['kind']} along {' and '.join(law['axes'])}"
+
+
 def sentence(law: Mapping[str, Any]) -> str:
     """Return place, variables, kind and share of the gap of a law, and what it does not claim, in plain words."""
     if law["kind"] == "measurement":

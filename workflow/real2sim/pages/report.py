@@ -1009,7 +1009,8 @@ def _answers(study: Study) -> str:
     text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if closed:
         text += (
-            f" A named cause closes {percent(statistics.median(closed))} of what stands above noise (median)."
+            f" What was found, a cause or a measured law, closes {percent(statistics.median(closed))} of what stands "
+            "above noise (median)."
         )
     if any(d["verdict"] == "none" for d in study.diagnoses):
         text += (

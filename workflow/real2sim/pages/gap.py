@@ -16,11 +16,11 @@ from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_per_
 from real2sim.pages.page import likely
 
 _KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")
-_ROW_IN, _FRAME_IN = 0.32, 1.0
+_ROW_IN, _FRAME_IN = 0.36, 1.0
 
 
 def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
-    """Draw chi-squared per residual of everyone's held-out trial: plain and with the cause; noise alone leaves 1.
+    """Draw chi-squared per residual of everyone's held-out trial: plain and with cause or law; noise alone leaves 1.
 
     ``diagnoses`` are files diagnosis.json. Where the fitted trial alone shows the gap, it is drawn and marked. Of more
     people than a page holds, those with the largest gap are shown.
@@ -50,23 +50,24 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     marked = np.array([bool(d["misfit"] and d["misfit"]["marked"]) for d, _ in shown])
     diamond: dict[str, Any] = {"marker": "D", "linestyle": "", "color": style.BLUE, "markersize": 4.5}
     for which, face, label in (
-        (~marked, style.BLUE, "with the cause"),
-        (marked, "white", "with the cause, misfit mark"),
+        (~marked, style.BLUE, "with cause or law"),
+        (marked, "white", "the same, misfit mark"),
     ):
         if which.any():
             axes.plot(cause[which], place[which], **diamond, markerfacecolor=face, label=label)
     low, high = min(1.0, cause.min()), max(1.0, plain.max())
-    # room for the words to the right of the points
-    left, right = low / 1.4, high * (high / low + 2) ** 0.75 * 1.6
+    left, right = low / 1.4, high * 1.4
     axes.set_xscale("log")
     axes.set_xlim(left, right)
     style.log_axis(axes.xaxis, left, right)
-    for (d, _), x, y in zip(shown, plain, place, strict=True):
+    beside = axes.get_yaxis_transform()
+    for (d, _), y in zip(shown, place, strict=True):
         text = f"{answer_words(d)} ({likely(answer_probability(d))})"
-        axes.annotate(text, (x, y), (8, 0), textcoords="offset points", va="center", fontsize=7)
+        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+        axes.text(0.01, y + 0.2, text, transform=beside, va="bottom", fontsize=7, bbox=behind)
     exchanged = [d.get("shown_on", d["held_out"]) != d["held_out"] for d, _ in shown]
     names = [f"{d['subject']}{'*' * other}" for (d, _), other in zip(shown, exchanged, strict=True)]
     axes.set_yticks(place, names)
-    axes.set_ylim(-0.6, len(shown) - 0.4)
+    axes.set_ylim(-0.5, len(shown) - 0.3)
     words = "misfit of the held-out trial (chi-squared per residual)"
     axes.set_xlabel(words + "\n* of the fitted trial, which alone shows the gap" * any(exchanged))

@@ -61,9 +61,9 @@ FIGURES = {
         "The gap of everyone",
         "Chi-squared per residual (no unit, logarithmic) of the held-out trial, or of the fitted one where that alone "
         "shows the gap (marked *): circle, the plain model of strap and robot; diamond, the same with the diagnosed "
-        "cause in it, open where it carries the misfit mark: more than noise is left beside it; dashed, what noise "
-        "alone leaves, 1. At the dashed line there is no gap to explain, and the answer is none. In brackets: the sum "
-        "of the probabilities of what is named.",
+        "cause or, where that is unknown, the measured law in it, open where a cause carries the misfit mark: more "
+        "than noise is left beside it; dashed, what noise alone leaves, 1. At the dashed line there is no gap to "
+        "explain, and the answer is none. In brackets: the probability of the answer.",
     ),
     "paper_gap": (
         "Causes beside the paper",

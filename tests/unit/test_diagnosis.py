@@ -129,7 +129,7 @@ def test_a_trial_that_nothing_explains_is_not_explained_by_fits_to_the_other(lef
 def test_the_trial_that_alone_shows_a_gap_is_the_one_to_fit(monkeypatch, left, exchanged):
     pair = Pair(
         *(
-            SimpleNamespace(samples=2880, sensors={"markers": 12}, noise_by_sensor=(2880.0,), left=x)
+            SimpleNamespace(samples=2880, samples_by_sensor=(2880,), noise_by_sensor=(2880.0,), left=x)
             for x in left
         ),
         system=None,
@@ -201,7 +201,7 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     lag = next(e for e in EFFECTS if e.name == "replay_lag")
     placed = Placed(lag, lag.places(STRAP)[0], SCALES)
     fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
-    trial = SimpleNamespace(samples=1000, sensors={"markers": 6}, noise_by_sensor=(1000.0,))
+    trial = SimpleNamespace(samples=1000, samples_by_sensor=(1000,), noise_by_sensor=(1000.0,))
     pair = Pair(trial, trial, system)
     rows = parameter_verdicts(pair, fit, 1000, CONFIG)
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
@@ -218,9 +218,7 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     again = parameter_verdicts(pair, worse, 1000, CONFIG)
     assert again[0].verdict == "weak", "three times as wide"
     # a log that is quieter than its floor makes up for none of what the markers leave
-    trial = SimpleNamespace(
-        samples=1000, sensors={"markers": 6, "robot log": 6}, noise_by_sensor=(500.0, 10.0)
-    )
+    trial = SimpleNamespace(samples=1000, samples_by_sensor=(500, 500), noise_by_sensor=(500.0, 10.0))
     loud = replace(fit, chi2=(1000.0, 900.0), sensors=((990.0, 10.0), (890.0, 10.0)))
     told = parameter_verdicts(Pair(trial, trial, system), loud, 1000, CONFIG)
     assert np.diff(np.log(told[0].ci95)) > 1.15 * np.diff(np.log(rows[0].ci95))

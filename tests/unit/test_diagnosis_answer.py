@@ -35,6 +35,7 @@ class Trial:
 
     def __init__(self, name: str, machine: str):
         self.name, self.machine, self.samples = name, machine, COUNTS[name]
+        self.samples_by_sensor = (self.samples,)
 
     def j(self, paths):
         return paths[:, 0]

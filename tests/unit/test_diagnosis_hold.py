@@ -149,7 +149,11 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
 
     items = [
         Trial(
-            samples=2880, sensors={"markers": 12}, noise_by_sensor=(2880.0,), settled=False, noise=np.zeros(3)
+            samples=2880,
+            samples_by_sensor=(2880,),
+            noise_by_sensor=(2880.0,),
+            settled=False,
+            noise=np.zeros(3),
         )
         for _ in range(2)
     ]

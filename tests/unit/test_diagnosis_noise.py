@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim.configuration import validated
 from real2sim.geometry import AXES
+from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import Bands, drawn_together, noise_colour, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import lowpass_from_standing
 from real2sim.signals import lowpass
@@ -127,16 +128,22 @@ class _Logged(StrapEvidence):
 
     def _elsewhere(self, parameters):
         none = np.zeros((0, len(self.robot), 12))
-        return Elsewheres(self.given, np.zeros((6, len(self.robot), 12)), none)
+        return Elsewheres(self.given, np.zeros((6, len(self.robot), 12)), none, none)
 
     def _apart(self, replay, parameters, draws, markers, logged, x=()):
         return -np.concatenate([markers.reshape(draws, -1, 6), logged], axis=2)
 
 
-def _logged(log: np.ndarray, offset_sd_s: float = 0.0, rests: np.ndarray | None = None) -> StrapEvidence:
+def _logged(
+    log: np.ndarray,
+    offset_sd_s: float = 0.0,
+    rests: np.ndarray | None = None,
+    interface: np.ndarray | None = None,
+) -> StrapEvidence:
     """Such evidence with a log (n, 6), once its noise is simulated; ``rests`` (k, n, 12) as of `Elsewheres`."""
     n = len(log)
-    trial = SimpleNamespace(time_s=np.arange(n) / 100, interface=np.zeros((n, 2, 3)), usable=np.ones(n, bool))
+    seen = np.zeros((n, 2, 3)) if interface is None else interface
+    trial = SimpleNamespace(time_s=np.arange(n) / 100, interface=seen, usable=np.ones(n, bool))
     recorded = SimpleNamespace(trial=trial, robot=log, context=SimpleNamespace(start=50))
     model = SimpleNamespace(bands=BANDS)
     levels = SimpleNamespace(
@@ -189,6 +196,44 @@ def test_a_constant_that_nobody_knows_costs_what_one_number_does():
     assert left.sum(axis=1).mean() == pytest.approx(seen.samples, rel=0.03)
     assert left.mean(axis=0) == pytest.approx(seen.samples / 2, rel=0.05), "of markers and of the log"
     assert sum(seen.noise_by_sensor) == pytest.approx(seen.samples, rel=0.03)
+
+
+def test_a_marker_that_is_lost_for_a_while_leaves_no_more_than_noise():
+    """Straight lines from one noisy sample to another are slow, and were 2 to 5 standard deviations of a trial."""
+    truth, lost = _sway(), np.zeros((1200, 2, 3))
+    truth -= truth[:50].mean(axis=0)
+    for start in (150, 400, 800):
+        lost[start : start + 50, 0] = np.nan
+    seen, whole = _logged(truth, interface=lost), _logged(truth)
+    assert whole.samples == whole.rows == seen.rows
+    assert seen.samples_by_sensor[1] == pytest.approx(whole.samples_by_sensor[1], abs=1)
+    # 3 gaps of 0.5 s, three coordinates, 20 numbers a second, and what their edges take
+    taken = whole.samples_by_sensor[0] - seen.samples_by_sensor[0]
+    assert 90 < taken < 90 + 9 * 5
+    noise = 1e-3 * np.random.default_rng(5).standard_normal((200, 1200, 12))
+    paths, joints = noise[:, :, :6].reshape(200, 1200, 2, 3), noise[:, :, 6:] + truth
+    left = (seen.whitened(paths, joints) ** 2).sum(axis=1)
+    assert left.mean() == pytest.approx(seen.samples, rel=0.03)
+    assert left.std() == pytest.approx(np.sqrt(2 * seen.samples), rel=0.25)
+
+
+def test_what_was_missed_of_a_marker_moves_the_pelvis_in_the_gap_alone():
+    n, gap = 300, slice(100, 150)
+    trial = SimpleNamespace(
+        pelvis_rotation=np.tile(np.eye(3), (n, 1, 1)),
+        pelvis_position=np.zeros((n, 3)),
+        pelvis_markers=np.tile(np.array(list(_BODIES.values())[:4]) - [0, 0, 1.0], (n, 1, 1)),
+    )
+    seen = StrapEvidence(SimpleNamespace(trial=trial), None, None, None)
+    moved = PutBack(1, gap, np.full((3, 3), 1e-3)).missed(n)
+    assert moved.shape == (9, n, 4, 3)
+    for displaced in moved:
+        rotation, position = seen._pelvis_by(displaced)
+        still = np.delete(np.arange(n), np.arange(n)[gap])
+        np.testing.assert_allclose(rotation[still], trial.pelvis_rotation[still], atol=1e-12)
+        np.testing.assert_allclose(position[still], 0, atol=1e-12)
+        assert max(np.abs(rotation - np.eye(3)).max(), np.abs(position).max()) > 1e-4
+    np.testing.assert_allclose(np.sqrt(np.mean(moved[0, gap, 1, 0] ** 2)), 1e-3, rtol=0.02)
 
 
 _BODIES = {

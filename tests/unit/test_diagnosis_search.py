@@ -151,7 +151,7 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     friction = placed_whole("coulomb")
 
     class Trial:
-        samples, sensors, noise_by_sensor = 2880, {"markers": 12}, (2880.0,)
+        samples, samples_by_sensor, noise_by_sensor = 2880, (2880,), (2880.0,)
 
         def noise_through(self, effects, parameters, x, draws, seed):
             assert [p.key for p in effects] == [friction.key]

@@ -32,7 +32,7 @@ def pair(monkeypatch):
     def trial(rows: int, scale: float = 1.0):
         matrix = scale * rng.standard_normal((rows, 3))
         return SimpleNamespace(
-            matrix=matrix, measured=rng.standard_normal(rows), samples=rows, sensors={"outputs": 1}
+            matrix=matrix, measured=rng.standard_normal(rows), samples=rows, rows=rows, sensors={"outputs": 1}
         )
 
     monkeypatch.setattr(further, "JointResiduals", Linear)

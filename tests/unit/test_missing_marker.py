@@ -55,6 +55,39 @@ def test_a_marker_that_is_never_seen_is_that_of_a_rigid_body():
     np.testing.assert_allclose(np.delete(put, 50, axis=0), np.delete(points[:, 2], 50, axis=0), atol=1e-9)
 
 
+@pytest.mark.parametrize("samples", [30, 60])
+def test_how_well_a_marker_is_put_back_is_measured_in_gaps_that_are_made(samples):
+    points = _worn(noise_m=2e-4)
+    # skin that follows nothing else: no other marker tells of it
+    points[:, 2] += 2e-3 * np.sin(np.arange(len(points)) / 15)[:, None]
+    gap = slice(700, 700 + samples)
+    seen = np.ones((len(points), 4), bool)
+    seen[gap, 2] = False
+    known = missing_marker.known_to(
+        np.where(seen[:, :, None], points, np.nan), seen, 2, gap, lost_marker.SKIN
+    )
+    # gaps of that length all over the trial, none of which were made
+    missed = []
+    for start in range(120, 1800, 97):
+        there, own = np.ones_like(seen), slice(start, start + samples)
+        there[own, 2] = False
+        back = missing_marker.put_back(points, there, MODEL, 2, [own], lost_marker.SKIN)
+        missed.append(missing_marker.shapes(samples) @ (back[own] - points[own, 2]) / samples)
+    np.testing.assert_allclose(known.sd, np.sqrt(np.mean(np.square(missed), axis=0)), rtol=0.6)
+    assert known.sd[0].min() > known.sd[2].max()
+
+
+def test_nothing_tells_how_well_a_marker_is_known_that_is_never_seen():
+    points = _worn()
+    seen = np.ones((len(points), 4), bool)
+    seen[:, 1] = False
+    whole = slice(0, len(points))
+    assert not missing_marker.known_to(points, seen, 1, whole, lost_marker.SKIN).sd.any()
+    # one that is lost for longer than it is seen is told by shorter gaps
+    seen[:400, 1] = True
+    assert missing_marker.known_to(points, seen, 1, slice(400, len(points)), lost_marker.SKIN).sd.any()
+
+
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"{REAL}: recordings by others, not in here")
 @pytest.mark.parametrize(
     "file",

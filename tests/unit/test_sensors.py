@@ -28,7 +28,10 @@ def _left(markers: float, robot: float) -> Hypothesis:
 def _search(robot: float = QUIET) -> Search:
     """A search in two trials; noise leaves so much of the robot's log."""
     trial = SimpleNamespace(
-        samples=2 * N, sensors={"markers": 6, "robot log": 6}, noise_by_sensor=(0.97 * N, robot)
+        samples=2 * N,
+        samples_by_sensor=(N, N),
+        sensors={"markers": 6, "robot log": 6},
+        noise_by_sensor=(0.97 * N, robot),
     )
     return Search(Pair(trial, trial, STRAP), CONFIG["diagnosis"]["search"])
 
@@ -59,8 +62,8 @@ def test_what_a_sensor_on_its_floor_leaves_below_its_expectation_counts_for_noth
 
 
 def test_each_trial_counts_its_residuals_by_sensor():
-    trial = SimpleNamespace(samples=600, sensors={"markers": 6, "robot log": 4})
-    assert samples_by_sensor([trial, trial]) == ((360, 240), (360, 240))
+    first, second = (SimpleNamespace(samples_by_sensor=counts) for counts in ((360, 240), (351, 240)))
+    assert samples_by_sensor([first, second]) == ((360, 240), (351, 240))
 
 
 def test_a_misfit_of_the_markers_does_not_hide_in_a_quiet_log():
@@ -76,9 +79,17 @@ def test_a_misfit_of_the_markers_does_not_hide_in_a_quiet_log():
 
 def test_a_trial_without_a_log_can_stand_beside_one_with_it():
     with_log = SimpleNamespace(
-        samples=2 * N, sensors={"markers": 6, "robot log": 6}, noise_by_sensor=(N, QUIET)
+        samples=2 * N,
+        samples_by_sensor=(N, N),
+        sensors={"markers": 6, "robot log": 6},
+        noise_by_sensor=(N, QUIET),
     )
-    without = SimpleNamespace(samples=N, sensors={"markers": 6, "robot log": 0}, noise_by_sensor=(N, 0.0))
+    without = SimpleNamespace(
+        samples=N,
+        samples_by_sensor=(N, 0),
+        sensors={"markers": 6, "robot log": 0},
+        noise_by_sensor=(N, 0.0),
+    )
     search = Search(Pair(with_log, without, STRAP), CONFIG["diagnosis"]["search"])
     assert search.samples_by_sensor == ((N, N), (N, 0))
     assert search.on_floor == (False, True)

@@ -62,8 +62,16 @@ class Evidence(Protocol):
         """Name of the recording, for messages."""
 
     @property
-    def samples(self) -> int:
+    def rows(self) -> int:
         """Number of whitened residuals."""
+
+    @property
+    def samples_by_sensor(self) -> tuple[int, ...]:
+        """Whitened residuals that count, by sensor: fewer than there are by what missing samples take away."""
+
+    @property
+    def samples(self) -> int:
+        """Their number: the expectation of chi-squared."""
 
     @property
     def sensors(self) -> dict[str, int]:

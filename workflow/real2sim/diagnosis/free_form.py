@@ -235,13 +235,13 @@ class Responses:
     @property
     def base(self) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (r,) of the trial, and their slopes (r, n) by the base's numbers."""
-        n = self._evidence.samples
+        n = self._evidence.rows
         return self._residuals[:n], self._own[:n]
 
     @property
     def priors(self) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (k,) of the base's priors, and their slopes (k, n)."""
-        n = self._evidence.samples
+        n = self._evidence.rows
         return self._residuals[n:], self._own[n:]
 
     def by_placed(self, placed: Placed) -> np.ndarray:
@@ -251,7 +251,7 @@ class Responses:
         own = len(placed.effect.parameters)
         at = np.concatenate([base.z, np.zeros(own)])
         there = np.concatenate([self._residuals, np.zeros(own)])
-        return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[: evidence.samples]
+        return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[: evidence.rows]
 
     @property
     def is_linear(self) -> bool:
@@ -558,7 +558,7 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     held = JointResiduals(pair.held_out, effects, system, coarse=True)
     r, jac = train.with_jacobian(z, everything)
     r_h, jac_h = held.with_jacobian(z, everything)
-    m = pair.held_out.samples
+    m = pair.held_out.rows
     r, jac = np.concatenate([r, r_h[:m]]), np.vstack([jac, jac_h[:m]])
     a = jac.T @ jac
     a[np.diag_indices_from(a)] += 1e-9

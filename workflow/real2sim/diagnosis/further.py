@@ -40,7 +40,7 @@ def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
         problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
         _, jacobian = problem.with_jacobian(hypothesis.z, everything)
         # rows of the priors count once
-        rows = jacobian[: evidence.samples] if evidence is pair.held_out else jacobian
+        rows = jacobian[: evidence.rows] if evidence is pair.held_out else jacobian
         total += rows.T @ rows
     total[np.diag_indices_from(total)] += 1e-9
     return total
@@ -62,7 +62,7 @@ def predict_further(
     for evidence in further:
         problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
         r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
-        r, jacobian = r[: evidence.samples], jacobian[: evidence.samples]
+        r, jacobian = r[: evidence.rows], jacobian[: evidence.rows]
         moved[own] = 0.0
         known[own], known[:, own] = 0.0, 0.0
         width = prior_widths(problem.prior_sd, problem.lower, problem.upper)

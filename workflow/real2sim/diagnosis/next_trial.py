@@ -124,7 +124,7 @@ def _left(
     evidence: Evidence, pair: Pair, truth: Hypothesis, other: Hypothesis, known: np.ndarray, longest: float
 ) -> float:
     """Standard deviations that the other hypothesis leaves of what the truth makes of a trial; NaN where one fails."""
-    n = evidence.samples
+    n = evidence.rows
     here = JointResiduals(evidence, truth.effects, pair.system, coarse=True).many(truth.z[None])[0, :n]
     problem = JointResiduals(evidence, other.effects, pair.system, coarse=True)
     r, jacobian = problem.with_jacobian(other.z, np.arange(len(other.z)))

@@ -36,10 +36,8 @@ def failed(sensors: int) -> tuple[float, ...]:
 
 
 def samples_by_sensor(items: Sequence[Evidence]) -> tuple[tuple[int, ...], ...]:
-    """Return the numbers of whitened residuals by sensor, trial by trial."""
-    return tuple(
-        tuple(e.samples * own // sum(e.sensors.values()) for own in e.sensors.values()) for e in items
-    )
+    """Return the numbers of whitened residuals that count, by sensor, trial by trial."""
+    return tuple(e.samples_by_sensor for e in items)
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Pair:
 
     @property
     def samples_by_sensor(self) -> tuple[tuple[int, ...], ...]:
-        """Whitened residuals by sensor, trial by trial."""
+        """Whitened residuals that count, by sensor, trial by trial."""
         return samples_by_sensor((self.train, self.held_out))
 
     def on_floor(self, sd: float) -> tuple[bool, ...]:
@@ -183,7 +181,7 @@ class Search:
 
     @property
     def samples(self) -> tuple[int, int]:
-        """Whitened residuals of the two trials."""
+        """Whitened residuals of the two trials that count."""
         return self.pair.train.samples, self.pair.held_out.samples
 
     @property

@@ -16,7 +16,7 @@ from scipy.ndimage import label
 from real2sim import signals
 from real2sim.diagnosis.channel_cost import ChannelCost
 from real2sim.diagnosis.sensors import by_sensor
-from real2sim.diagnosis.whitening import Bands, Whitening
+from real2sim.diagnosis.whitening import Bands, Whitening, without_gaps
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Context
@@ -120,9 +120,19 @@ class SystemEvidence:
         return int(self.measured.observed.shape[1] + self.measured.logged.shape[1])
 
     @property
-    def samples(self) -> int:
+    def rows(self) -> int:
         """Number of whitened residuals."""
         return self.bands.last * self.channels
+
+    @cached_property
+    def samples_by_sensor(self) -> tuple[int, ...]:
+        """Whitened residuals that count, by sensor."""
+        return self._whitening.counts_by_sensor(self.sensors.values())
+
+    @property
+    def samples(self) -> int:
+        """Their number."""
+        return sum(self.samples_by_sensor)
 
     @property
     def sensors(self) -> dict[str, int]:
@@ -179,15 +189,14 @@ class SystemEvidence:
         return SystemReplay(setup, effects, context, self.scales, nsim)
 
     def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Residuals (m, n, c), simulated minus measured, gaps bridged by straight lines."""
+        """Residuals (m, n, c), simulated minus measured; what stands in gaps counts for nothing (`Whitening`)."""
         error = np.concatenate([paths - self.measured.observed, joints - self.measured.logged], axis=2)
-        known = np.isfinite(np.hstack([self.measured.observed, self.measured.logged]))
-        sample = np.arange(error.shape[1])
-        for c in np.flatnonzero(~known.all(axis=0)):
-            good = known[:, c]
-            for row in error:
-                row[~good, c] = np.interp(sample[~good], sample[good], row[good, c])
-        return error
+        return without_gaps(error, self._known)
+
+    @property
+    def _known(self) -> np.ndarray:
+        """Mask (n, c) of the samples that were measured, by channel."""
+        return np.asarray(np.isfinite(np.hstack([self.measured.observed, self.measured.logged])))
 
     def j(self, paths: np.ndarray) -> np.ndarray:
         """Plain cost (m,) of simulated observations (m, n, c)."""
@@ -256,7 +265,7 @@ class SystemEvidence:
         rng = np.random.default_rng([seed, draws])
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
         whitening = Whitening.of_noise(
-            self.bands, error, drawn, nuisance, self.measured.floor, self.measured.repeated
+            self.bands, error, drawn, nuisance, self.measured.floor, self.measured.repeated, self._known
         )
         return replace(self, whitening=whitening, cache={**self.cache, "nuisance": nuisance})
 

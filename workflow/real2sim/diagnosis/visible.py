@@ -92,9 +92,9 @@ class _Trials:
         items = (pair.train, pair.held_out)
         known = [JointResiduals(e, (), pair.system, coarse=True) for e in items]
         both = [k.with_jacobian(plain.base, np.arange(len(plain.base))) for k in known]
-        self._residuals = [r[: e.samples] for (r, _), e in zip(both, items, strict=True)]
+        self._residuals = [r[: e.rows] for (r, _), e in zip(both, items, strict=True)]
         self._fitted, held_out = (j for _, j in both)
-        self._held_out = held_out[: pair.held_out.samples]
+        self._held_out = held_out[: pair.held_out.rows]
         self._normal = self._fitted.T @ self._fitted + 1e-9 * np.eye(len(plain.base))
         lower, upper = pair.system.bounds()
         self._lower = np.maximum(lower - plain.base, -longest)
@@ -106,9 +106,9 @@ class _Trials:
         changes = []
         for evidence, here in zip((self._pair.train, self._pair.held_out), self._residuals, strict=True):
             problem = JointResiduals(evidence, (placed,), self._pair.system, coarse=True)
-            changes.append(problem.many(z)[:, : evidence.samples] - here)
+            changes.append(problem.many(z)[:, : evidence.rows] - here)
         left = np.full((len(x), 2), np.nan)
-        n = self._pair.train.samples
+        n = self._pair.train.rows
         for k, (fitted, held_out) in enumerate(zip(*changes, strict=True)):
             if np.isfinite(fitted).all() and np.isfinite(held_out).all():
                 # the effect is in the data, so that the plain plant lacks it

@@ -8,6 +8,7 @@ Federolf 2016, doi:10.1371/journal.pone.0152616).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,62 @@ from real2sim.recording import alignment
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSkinSettings
+
+
+# Shapes of what is missed in a gap, and gaps that are made to learn how large they are
+_SHAPES, _MADE = 3, 20
+
+
+@dataclass(frozen=True)
+class PutBack:
+    """A gap of a pelvis marker, by its number, that was put back, and SD (k, 3) [m, world] of `shapes` missed in it."""
+
+    marker: int
+    gap: slice
+    sd: np.ndarray
+
+    def missed(self, samples: int) -> np.ndarray:
+        """Return displacements (3k, n, 4, 3) [m] of the pelvis markers by one SD of each shape and direction.
+
+        ``samples`` is n, of the whole trial.
+        """
+        each = shapes(self.gap.stop - self.gap.start)
+        out = np.zeros((len(each), 3, samples, 4, 3))
+        for direction in range(3):
+            out[:, direction, self.gap, self.marker, direction] = self.sd[:, direction, None] * each
+        return out.reshape(-1, samples, 4, 3)
+
+
+def shapes(length: int) -> np.ndarray:
+    """Return half-sines (k, length) of RMS 1 over a gap: nothing is missed at its edges, where it is joined."""
+    way = np.arange(1, length + 1) / (length + 1)
+    return np.asarray(np.sqrt(2) * np.sin(np.pi * np.arange(1, _SHAPES + 1)[:, None] * way))
+
+
+def known_to(
+    points: np.ndarray, seen: np.ndarray, missing: int, gap: slice, skin: IngestSkinSettings
+) -> PutBack:
+    """Return how well a marker is known that `put_back` brings back in a gap of a trial.
+
+    It is what `put_back` misses in gaps of this length that are made where all four markers are seen, or of half of the
+    longest such stretch where that is shorter. Where they are never seen together nothing tells, and the SD are 0.
+    ``points`` (n, 4, 3) [m], ``seen`` (n, 4) and ``skin`` as of `put_back`.
+    """
+    runs = signals.segments(np.asarray(seen.all(axis=1)))
+    longest = max((run.stop - run.start for run in runs), default=0)
+    length = min(gap.stop - gap.start, longest // 2)
+    starts = [start for run in runs for start in range(run.start + 1, run.stop - length)] if length else []
+    if not starts:
+        return PutBack(missing, gap, np.zeros((_SHAPES, 3)))
+    model = places_in_pelvis(np.where(seen[:, :, None], points, np.nan))
+    chosen = np.unique(np.linspace(0, len(starts) - 1, _MADE).round().astype(int))
+    sizes = []
+    for start in (starts[i] for i in chosen):
+        made, there = slice(start, start + length), seen.copy()
+        there[made, missing] = False
+        filled = put_back(points, there, model, missing, [made], skin)
+        sizes.append(shapes(length) @ (filled[made] - points[made, missing]) / length)
+    return PutBack(missing, gap, np.sqrt(np.mean(np.square(sizes), axis=0)))
 
 
 def places_in_pelvis(points: np.ndarray) -> np.ndarray:

@@ -44,14 +44,16 @@ def log_offset_sd(quality: Path) -> float:
 
 
 def without_filled(interface: np.ndarray, markers: Path, rule: JumpRule) -> np.ndarray:
-    """Return interface markers (n, 2, 3) [m], unknown where a short gap was filled and as far as a filter carries that.
+    """Return interface markers (n, 2, 3) [m], unknown where a gap was filled or is open, as far as a filter carries it.
 
-    What fills a gap starts from noise at both ends, and with loud markers it was taken for a jump.
+    What fills a gap starts from noise at both ends, and with loud markers it was taken for a jump. Beside an open one
+    the filter has one side only.
     """
     table = pq.read_table(markers)
     filled = np.column_stack([table[f"{name}_filled"].to_numpy() for name in INTERFACE_MARKERS])
     out = interface.copy()
-    out[around(filled, rule, "edge_s")] = np.nan
+    lost = np.isnan(interface).any(axis=2)
+    out[around(filled | lost, rule, "edge_s")] = np.nan
     return out
 
 

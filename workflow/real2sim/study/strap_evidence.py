@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 
 from real2sim import signals
 from real2sim.diagnosis.sensors import by_sensor
-from real2sim.diagnosis.whitening import Bands, Whitening
+from real2sim.diagnosis.whitening import Bands, Whitening, without_gaps
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Chains, Context, Elsewhere
@@ -27,6 +27,7 @@ from real2sim.effects.replay import EffectReplay, InputBasis
 from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
 from real2sim.inference.cost import TrialCost
 from real2sim.recording.jumps import JumpRule, spikes
+from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel
 from real2sim.recording.pelvis import lowpass_from_standing, rigid_markers
 from real2sim.recording.skin import Skin
@@ -63,7 +64,8 @@ class Recorded:
 
     ``robot`` (n, 6) is what `robot_motion` returns, None without a log; ``context`` goes to the effects; ``cost`` is J
     of the paper; ``coordinates`` (n, 6) of the interface [m, rad]; ``skin`` is what the pelvis' markers show of each
-    other; ``jumped_s`` for how long [s] pelvis markers jumped; ``pelvis_cutoff_hz`` of the low-pass of the pelvis path.
+    other; ``jumped_s`` for how long [s] pelvis markers jumped; ``pelvis_cutoff_hz`` of the low-pass of the pelvis path;
+    ``put_back`` are gaps of pelvis markers that were lost or jumped.
     """
 
     trial: Trial
@@ -74,6 +76,7 @@ class Recorded:
     pelvis_cutoff_hz: float
     skin: Skin | None = None
     jumped_s: Mapping[str, float] = field(default_factory=dict)
+    put_back: tuple[PutBack, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,12 +102,14 @@ class Elsewheres:
     """Change of the residuals by per-trial nuisance parameters.
 
     ``rests`` (6, n, c) by a rest pose one SD off, axis by axis; ``starts`` (6, n, c) per metre and radian of a start
-    pose; ``holds`` (k, n, c) by a controller that holds one SD beside equilibrium, none for a robot that is let go.
+    pose; ``holds`` (k, n, c) by a controller that holds one SD beside equilibrium, none for a robot that is let go;
+    ``put_back`` (k, n, c) by what was missed of pelvis markers that were lost.
     """
 
     rests: np.ndarray
     starts: np.ndarray
     holds: np.ndarray
+    put_back: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -205,9 +210,19 @@ class StrapEvidence:
         return 6 if self.robot is None else 12
 
     @property
-    def samples(self) -> int:
+    def rows(self) -> int:
         """Number of whitened residuals."""
         return self.bands.last * self.channels
+
+    @cached_property
+    def samples_by_sensor(self) -> tuple[int, ...]:
+        """Whitened residuals that count, by sensor."""
+        return self._whitening.counts_by_sensor(self.sensors.values())
+
+    @property
+    def samples(self) -> int:
+        """Their number."""
+        return sum(self.samples_by_sensor)
 
     @property
     def sensors(self) -> dict[str, int]:
@@ -330,7 +345,7 @@ class StrapEvidence:
         return replace(self, scales=scales)
 
     def raw(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Residuals (m, n, c) simulated minus measured, gaps bridged by straight lines."""
+        """Residuals (m, n, c) simulated minus measured; what stands in gaps counts for nothing (`Whitening`)."""
         error = paths.reshape(*paths.shape[:2], 6) - self.trial.interface.reshape(-1, 6)
         if self.robot is not None:
             error = np.concatenate([error, self._from_start(joints) - self.robot], axis=2)
@@ -342,13 +357,7 @@ class StrapEvidence:
 
     def _without_gaps(self, error: np.ndarray) -> np.ndarray:
         """Residuals (m, n, c) with straight lines where pelvis or channel is unknown, and a while after a gap."""
-        known = self._measured
-        sample = np.arange(error.shape[1])
-        for c in np.flatnonzero(~known.all(axis=0)):
-            good = known[:, c]
-            for row in error:
-                row[~good, c] = np.interp(sample[~good], sample[good], row[good, c])
-        return error
+        return without_gaps(error, self._measured)
 
     @cached_property
     def _measured(self) -> np.ndarray:
@@ -395,7 +404,7 @@ class StrapEvidence:
         known = replace(self, elsewhere=self._elsewhere(parameters))
         error, drawn = known._noise(parameters, draws, seed)
         nuisance = known._nuisance(seed, draws)
-        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self._floor)
+        whitening = Whitening.of_noise(self.bands, error, drawn, nuisance, self._floor, known=self._measured)
         return replace(known, whitening=whitening)
 
     @property
@@ -437,7 +446,7 @@ class StrapEvidence:
         error = self._apart(replay, parameters, draws, markers, self._from_start(logged), x)
         nuisance = self._nuisance(seed, draws)
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
-        return self._without_gaps(error), drawn
+        return error, drawn
 
     def _nuisance(self, seed: int, draws: int) -> np.ndarray:
         """Return the change of the residuals (k, n, c) by one SD of each per-trial nuisance parameter.
@@ -453,10 +462,10 @@ class StrapEvidence:
         values, axes = np.linalg.eigh(covariance)
         roots = np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
         started = np.tensordot(roots, self.elsewhere.starts, axes=1)
-        parts = [self.elsewhere.rests, started, self.elsewhere.holds]
+        parts = [self.elsewhere.rests, started, self.elsewhere.holds, self.elsewhere.put_back]
         if self.robot is not None:
             parts.append(self._log_unknown())
-        return self._without_gaps(np.concatenate(parts))
+        return np.concatenate(parts)
 
     def _log_unknown(self) -> np.ndarray:
         """Return the change of the residuals (3, n, c) by one SD of the log's delay and of the wheels' size each.
@@ -502,13 +511,24 @@ class StrapEvidence:
             out = np.concatenate([out, self._from_start(joints)], axis=2)
         # a pose that MuJoCo gives up on is none that was
         moved = np.nan_to_num(out[1:] - out[:1])
-        return Elsewheres(moved[:6], moved[6:12] / _START_STEP, moved[12:])
+        return Elsewheres(moved[:6], moved[6:12] / _START_STEP, moved[12:], self._by_lost_markers(parameters))
+
+    def _by_lost_markers(self, parameters: np.ndarray) -> np.ndarray:
+        """Return the change of the residuals (k, n, c) by one SD of what was missed of pelvis markers put back."""
+        n, gaps = len(self.trial.time_s), self.recorded.put_back
+        moved = np.concatenate([np.empty((0, n, 4, 3)), *(gap.missed(n) for gap in gaps)])
+        if not len(moved):
+            return np.empty((0, n, self.channels))
+        replay = self.replay([], len(moved) + 1, coarse=True)
+        for i, displaced in enumerate(moved):
+            replay.set_command(i + 1, replay.command_for(*self._pelvis_by(displaced)))
+        return np.asarray(np.nan_to_num(self._apart(replay, parameters, len(moved), 0.0, 0.0)))
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """Return residuals (draws, n, c) by noise of the replayed pelvis, as a function of parameters (12,)."""
         replay = self.replay([], draws + 1)
         self._shake(replay, draws, seed)
-        return lambda parameters: self._without_gaps(self._apart(replay, parameters, draws, 0.0, 0.0))
+        return lambda parameters: self._apart(replay, parameters, draws, 0.0, 0.0)
 
     def _pelvis_noise(self, rng: np.random.Generator) -> np.ndarray:
         """Draw noise (n, 4, 3) [m] of the pelvis markers as the filters of the pelvis path leave it."""
@@ -523,16 +543,19 @@ class StrapEvidence:
     def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
         if (seed, i) not in self.cache.draws:
-            trial, rng = self.trial, np.random.default_rng([seed, i])
-            clean = rigid_markers(trial)
-            r_clean, p_clean = pelvis_frame(*clean)
-            noise = self._pelvis_noise(rng)
-            r, p = pelvis_frame(*(clean + np.moveaxis(noise, 1, 0)))
-            turn = np.einsum("nij,nkj->nik", r, r_clean)
-            rotation, position = turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
-            own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(trial.time_s), rng)
+            rng = np.random.default_rng([seed, i])
+            rotation, position = self._pelvis_by(self._pelvis_noise(rng))
+            own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(self.trial.time_s), rng)
             self.cache.draws[seed, i] = rotation, position, own
         return self.cache.draws[seed, i]
+
+    def _pelvis_by(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pelvis path (n, 3, 3), (n, 3) [m] with its markers displaced by (n, 4, 3) [m]."""
+        trial, clean = self.trial, rigid_markers(self.trial)
+        r_clean, p_clean = pelvis_frame(*clean)
+        r, p = pelvis_frame(*(clean + np.moveaxis(moved, 1, 0)))
+        turn = np.einsum("nij,nkj->nik", r, r_clean)
+        return turn @ trial.pelvis_rotation, trial.pelvis_position + p - p_clean
 
     def _shake(self, replay: EffectReplay, draws: int, seed: int) -> None:
         """Give all simulations of a replay but the first a pelvis that was measured with other noise."""

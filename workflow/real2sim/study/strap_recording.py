@@ -13,7 +13,9 @@ from real2sim.effects.base import Scales
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
 from real2sim.geometry import interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.recording import missing_marker
 from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
+from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import CutoffRule, pelvis_shape, smoothed_pelvis
 from real2sim.recording.skin import skin_of
@@ -32,7 +34,7 @@ from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, Str
 from real2sim.system.plant import impedances, load_robot
 
 if TYPE_CHECKING:
-    from real2sim.settings import Settings
+    from real2sim.settings import IngestSkinSettings, Settings
 
 
 def load_evidence(
@@ -103,7 +105,9 @@ def _read(
     rule = JumpRule(rate, settings["ingest"]["cutoff_hz"], options["jumps"])
     trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))
     start = max(2, int(np.sum(trial.time_s - trial.time_s[0] < ident["start_window_s"])))
+    seen = trial.pelvis_markers
     trial, jumped = without_ghosts(trial, rule, settings["ingest"]["skin"], ident["settle_after_gap_s"])
+    put_back = _put_back(trial, seen, settings["ingest"]["skin"])
     smoothing = CutoffRule(**options["pelvis"])
     trial, cutoff = smoothed_pelvis(
         trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start, smoothing
@@ -121,7 +125,22 @@ def _read(
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
     skin = skin_of(trial.time_s, trial.pelvis_markers, context.shapes.segment, options["skin"])
-    return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped), qd, let_go
+    return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped, put_back), qd, let_go
+
+
+def _put_back(trial: Trial, before: np.ndarray, skin: IngestSkinSettings) -> tuple[PutBack, ...]:
+    """Return the gaps of pelvis markers of a trial with a pelvis that one of them was put back in, and how well.
+
+    ``before`` (n, 4, 3) [m] are the markers as they came: unknown where they were lost, and elsewhere than those of the
+    trial where they were not believed.
+    """
+    seen = np.isfinite(before).all(axis=2) & (before == trial.pelvis_markers).all(axis=2)
+    one = np.isfinite(trial.pelvis_position).all(axis=1) & ((~seen).sum(axis=1) == 1)
+    return tuple(
+        missing_marker.known_to(before, seen, marker, gap, skin)
+        for marker in range(seen.shape[1])
+        for gap in signals.segments(one & ~seen[:, marker])
+    )
 
 
 def _context(

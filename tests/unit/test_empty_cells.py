@@ -94,3 +94,10 @@ def test_a_recording_that_cannot_be_simulated_is_refused_and_not_called_determin
     for pair in ({"train": failing, "held_out": sound}, {"train": sound, "held_out": failing}):
         with pytest.raises(InputError, match=r"(?s)^fast\n.*not_simulated"):
             r2s.diagnose(system, **pair, progress=lambda text: None)
+
+
+@pytest.mark.parametrize("column", ["carriage_m", "motor_force_N"])
+def test_a_column_without_any_number_is_refused_by_its_name(emps, column):
+    system, table = emps
+    with pytest.raises(InputError, match=rf"(?s)^slow, column {column}\n.*no number.*not_a_number"):
+        r2s.Recording.from_table(system, table.assign(**{column: np.nan}), "slow")

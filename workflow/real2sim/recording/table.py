@@ -180,7 +180,7 @@ def log_columns(system: System) -> dict[str, str]:
 
 def _numbers(column: pd.Series, source: Path) -> np.ndarray:
     try:
-        return column.to_numpy(dtype=float)
+        numbers = column.to_numpy(dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(
             source,
@@ -190,6 +190,16 @@ def _numbers(column: pd.Series, source: Path) -> np.ndarray:
             "Correct it.",
             "not_a_number",
         ) from error
+    if len(numbers) and not np.isfinite(numbers).any():
+        raise InputError(
+            source,
+            f"column {column.name}",
+            "no number in the whole column",
+            "a measurement, empty only where nothing was seen",
+            "Record it, or take what it measures out of the description of the system.",
+            "not_a_number",
+        )
+    return np.asarray(numbers)
 
 
 def _check_time(time_s: np.ndarray, source: Path) -> None:

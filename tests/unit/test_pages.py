@@ -17,6 +17,7 @@ from real2sim.pages.diagnosis import (
     chi2_closed,
     diagnosis_page,
     diagnosis_table,
+    digest,
 )
 from real2sim.pages.page import likely
 from real2sim.pages.style import PHANTOM_LABEL
@@ -348,6 +349,7 @@ def test_an_unknown_cause_is_told_by_its_law_wherever_answers_are_listed(tmp_pat
     table = tmp_path / "diagnosis.csv"
     diagnosis_table(diagnoses=[tmp_path / "diagnosis.json"], out=table)
     row = read_table(table, ("law", "gap_closed"))[0]
+    assert "a force along ty that depends on q_ty (elastic)" in digest(d)
     assert (row["law"], float(row["gap_closed"])) == ("elastic along ty", pytest.approx(0.465 / 0.49))
     without = _diagnosis("unknown", free_form=None)
     assert answer_words(without) == "unknown"

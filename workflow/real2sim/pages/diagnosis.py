@@ -20,7 +20,7 @@ from real2sim.diagnosis.sensors import above
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
-from real2sim.pages.law import law_section, law_words, misfit_sentence
+from real2sim.pages.law import law_section, law_sentence, law_words, misfit_sentence
 from real2sim.pages.page import (
     bar,
     document,
@@ -245,9 +245,11 @@ def chi2_closed(d: Mapping[str, Any]) -> float | None:
 
 
 def digest(d: Mapping[str, Any]) -> str:
-    """The answer of diagnosis.json on a page of the whole study: verdict, place, causes, next trial."""
+    """The answer of diagnosis.json on a page of the whole study: verdict, place, causes or law, next trial."""
     ranked = sorted(d["probabilities"].items(), key=lambda item: -item[1])
+    law = _law(d)
     closed = {cause["effect"]: cause.get("gap_closed") for cause in d["causes"]}
+    closed["unknown"] = None if law is None else law["gap_closed"]
     rows = [
         [escape(_words(name)), _probability(p), percent(closed.get(name))]
         for name, p in ranked[:5]
@@ -259,7 +261,8 @@ def digest(d: Mapping[str, Any]) -> str:
         caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(_shown(d))}",
         numeric=(2,),
     )
-    return "\n".join([*_lead(d), paragraph(_place(d)), causes])
+    told = [] if law is None else [paragraph(law_sentence(law))]
+    return "\n".join([*_lead(d), paragraph(_place(d)), *told, causes])
 
 
 # ---- words
@@ -596,7 +599,7 @@ def _which(d: Mapping[str, Any]) -> str:
     known = {cause["effect"]: cause for cause in causes}
     listed = [*known, *_NOT_EFFECTS]
     listed.sort(key=lambda name: -d["probabilities"].get(name, 0.0))
-    rows = [_cause_row(name, d["probabilities"].get(name, 0.0), known.get(name)) for name in listed]
+    rows = [_cause_row(name, d["probabilities"].get(name, 0.0), known.get(name), _law(d)) for name in listed]
     rest = 1 - sum(d["probabilities"].get(name, 0.0) for name in listed)
     if rest > 5e-4:
         rows.append(["all others together", _probability(rest), _DASH, _DASH])
@@ -624,18 +627,35 @@ def _probability(p: float) -> str:
     return f'<span class="nowrap">{bar(p)}{likely(p, 1)}</span>'
 
 
-def _cause_row(name: str, probability: float, cause: Mapping[str, Any] | None) -> list[str]:
+def _cause_row(
+    name: str, probability: float, cause: Mapping[str, Any] | None, law: Mapping[str, Any] | None
+) -> list[str]:
     if cause is None:
         about = {"none": "the plain model suffices", "unknown": "none of the catalogue"}[name]
+        if name == "unknown" and law is not None:
+            return [
+                _titled(name, f"{about}: {law_words(law)}"),
+                _probability(probability),
+                _share(law),
+                _DASH,
+            ]
         return [_titled(name, about), _probability(probability), _DASH, _DASH]
     about = ", ".join(
         part for part in (_listed(cause["axes"]) if cause["axes"] else "", _stage(cause)) if part
     )
-    closed, j = cause.get("gap_closed"), cause.get("J_held_out")
-    ci = cause.get("gap_closed_ci95")
+    return [
+        _titled(name, about),
+        _probability(probability),
+        _share(cause),
+        rounded(cause.get("J_held_out"), 4),
+    ]
+
+
+def _share(closing: Mapping[str, Any]) -> str:
+    """Return the share of the gap that a cause or a law closes, with its interval."""
+    closed, ci = closing.get("gap_closed"), closing.get("gap_closed_ci95")
     between = f"<br>[{percent(ci[0]).removesuffix(' %')}, {percent(ci[1]).removesuffix(' %')}]" if ci else ""
-    share = _DASH if closed is None else percent(closed) + between
-    return [_titled(name, about), _probability(probability), share, rounded(j, 4)]
+    return _DASH if closed is None else percent(closed) + between
 
 
 def _stage(cause: Mapping[str, Any]) -> str:

@@ -36,7 +36,7 @@ def law_section(law: Mapping[str, Any] | None, *, phantom: bool) -> list[str]:
     """Return the section of a measured law, nothing without one; ``law`` is ``free_form`` of diagnosis.json."""
     if law is None:
         return []
-    parts = [paragraph(sentence(law))]
+    parts = [paragraph(law_sentence(law))]
     if law["curve"] is not None:
         parts += ['<div class="grid">', _picture(law["curve"], phantom=phantom), "</div>"]
     if law["equation"]:
@@ -51,7 +51,7 @@ def law_words(law: Mapping[str, Any]) -> str:
     return f"{law['kind']} along {' and '.join(law['axes'])}"
 
 
-def sentence(law: Mapping[str, Any]) -> str:
+def law_sentence(law: Mapping[str, Any]) -> str:
     """Return place, variables, kind and share of the gap of a law, and what it does not claim, in plain words."""
     if law["kind"] == "measurement":
         on = " and ".join(_words(name) for name in law["depends_on"])

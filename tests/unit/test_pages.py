@@ -12,6 +12,7 @@ from real2sim.artefacts import number, read_table, write_json
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
 from real2sim.pages.diagnosis import (
+    _model,
     answer_probability,
     answer_words,
     chi2_closed,
@@ -351,6 +352,15 @@ def test_an_unknown_cause_is_told_by_its_law_wherever_answers_are_listed(tmp_pat
     row = read_table(table, ("law", "gap_closed"))[0]
     assert "a force along ty that depends on q_ty (elastic)" in digest(d)
     assert (row["law"], float(row["gap_closed"])) == ("elastic along ty", pytest.approx(0.465 / 0.49))
+    # a displacement of markers is no force: the model is the plain one, and its parameters do not move
+    own = {"effects": []}
+    assert "without an effect: the plain plant" in _model(d | {"model": own})
+    moved = {k: {"value": 1.1 * v["base"], "unit": v["unit"]} for k, v in d["parameters"].items()}
+    d |= {"free_form": _law() | {"model": {"parameters": moved}}}
+    with_force = _page(tmp_path, d).text
+    assert "How the parameters move" in with_force
+    assert "With measured law" in with_force
+    assert "with the measured law, its forces on motors of their own" in _model(d | {"model": own})
     without = _diagnosis("unknown", free_form=None)
     assert answer_words(without) == "unknown"
     assert chi2_closed(without) is None
@@ -387,6 +397,7 @@ def _law():
         "ln_evidence": 100.0,
         "equation": [term | {"share": 0.99}],
         "curve": curve,
+        "model": None,
         "rivals": [],
         "gap_closed": 0.95,
         "gap_closed_ci95": [0.92, 0.97],

@@ -860,7 +860,9 @@ def _trace_figure(d: Mapping[str, Any], traces: Mapping[str, np.ndarray]) -> str
 
 
 def _parameters(d: Mapping[str, Any]) -> str:
-    rows_of = d["parameters"]
+    rows_of, law = d["parameters"], _law(d)
+    if law is not None and law["model"] is not None:
+        return _parameters_with_law(d, law["model"]["parameters"])
     same = all(about["base"] == about["with_effect"] for about in rows_of.values())
     rows = []
     for name, about in rows_of.items():
@@ -890,13 +892,41 @@ def _parameters(d: Mapping[str, Any]) -> str:
             values,
         )
     return section(
-        "parameters", "How the parameters move", '<div class="grid wide">', _ratio_figure(d), values, "</div>"
+        "parameters",
+        "How the parameters move",
+        '<div class="grid wide">',
+        _ratio_figure(d, {name: about["with_effect"] / about["base"] for name, about in rows_of.items()}),
+        values,
+        "</div>",
     )
 
 
-def _ratio_figure(d: Mapping[str, Any]) -> str:
-    names = list(d["parameters"])
-    ratio = [about["with_effect"] / about["base"] for about in d["parameters"].values()]
+def _parameters_with_law(d: Mapping[str, Any], fitted: Mapping[str, Any]) -> str:
+    """Return the section of the parameters where they were fitted once more, beside a measured law."""
+    rows = [
+        [
+            escape(name),
+            rounded(about["base"], 4),
+            rounded(fitted[name]["value"], 4),
+            style.signed(100 * (fitted[name]["value"] / about["base"] - 1), 1) + " %",
+            escape(about["unit"]),
+        ]
+        for name, about in d["parameters"].items()
+    ]
+    values = table(
+        ["Parameter", "Plain", "With measured law", "Change", "Unit"],
+        rows,
+        caption="The parameters of the interface, fitted on the training trial without the law and beside it. A law "
+        "may hold a straight part, which stiffness or damping of its axis then lack",
+        numeric=(1, 2, 3),
+    )
+    ratio = {name: fitted[name]["value"] / about["base"] for name, about in d["parameters"].items()}
+    parts = ['<div class="grid wide">', _ratio_figure(d, ratio), values, "</div>"]
+    return section("parameters", "How the parameters move", *parts)
+
+
+def _ratio_figure(d: Mapping[str, Any], ratios: Mapping[str, float]) -> str:
+    names, ratio = list(ratios), list(ratios.values())
     reach = max(1.2, *(max(r, 1 / r) for r in ratio)) ** 1.05
     most = max(zip(ratio, names, strict=True), key=lambda item: abs(math.log(item[0])))
     with page_style():
@@ -942,10 +972,12 @@ def _next(d: Mapping[str, Any]) -> str:
 
 def _model(d: Mapping[str, Any]) -> str:
     """Return the pointer to the model for the next simulation."""
-    names = dict.fromkeys(entry["effect"] for entry in d["model"]["effects"])
-    what = (
-        f"with {_listed(list(names))}" if names else "without an effect: the plain plant with the plain fit"
-    )
+    names, law = dict.fromkeys(entry["effect"] for entry in d["model"]["effects"]), _law(d)
+    what = "without an effect: the plain plant with the plain fit"
+    if names:
+        what = f"with {_listed(list(names))}"
+    elif law is not None and law["model"] is not None:
+        what = "with the measured law, its forces on motors of their own (planned_*)"
     return section(
         "model",
         "The model for the next simulation",

@@ -9,7 +9,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
-from real2sim.artefacts import read_table, write_json, write_table
+from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
 from real2sim.pages.report import FIGURES, report_page
 from real2sim.pages.validation import RECORD_KEYS
@@ -208,6 +208,17 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     assert first < page.text.index("An earlier one: suite standard, seed 10")
     assert "80 % to 95 %" in page.text
     assert "None of them is a recording of a person" in page.text
+    # another suite of a later day does not stand for it
+    other = read_json(records[1]) | {"suite": "freeform", "date": "2026-11-30"}
+    other["claims"] = [other["claims"][0] | {"claim": "random law: unknown, or an equal law"}]
+    write_json(tmp_path / "other.json", other)
+    report_page(
+        **arguments, title="S", out=out, diagnoses=[answer], validation=[*records, tmp_path / "other.json"]
+    )
+    page, _ = _parsed(out)
+    assert "a law that nobody listed: unknown, or a cause as good" in page.text
+    assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
+    assert page.text.count("An earlier one") == 1
 
 
 def test_the_front_answers_the_question_of_the_study():
@@ -218,7 +229,8 @@ def test_the_front_answers_the_question_of_the_study():
         {"claim": "false alarm on null", "value": None, "n": 0},
     ]
     old = {"date": "2026-01-01", "suite": "a", "claims": [claims[0] | {"value": 0.1}]}
-    text = front([first, second], [old, {"date": "2026-11-26", "suite": "b", "claims": claims}])
+    later = {"date": "2026-11-27", "suite": "c", "claims": [{"claim": "other", "value": 1.0, "n": 3}]}
+    text = front([first, second], [old, {"date": "2026-11-26", "suite": "b", "claims": claims}, later])
     assert "slack: everyone." in text
     assert "interface law (the strap): everyone." in text
     assert "named first for 92 % of 38 synthetic people" in text

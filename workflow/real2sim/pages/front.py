@@ -10,7 +10,7 @@ from typing import Any
 
 from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual, shows_gap
 from real2sim.pages.page import listed, percent, rounded
-from real2sim.pages.validation import latest_first
+from real2sim.pages.validation import latest_claims
 
 # Names of a person each up to so many, else their number
 _NAMED = 6
@@ -92,7 +92,7 @@ def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]])
             f"More than noise is left beside what is named for {_people(marked, len(diagnoses))} (misfit mark)."
         )
     if records:
-        claims = {row["claim"]: row for row in latest_first(records)[0]["claims"] if row["value"] is not None}
+        claims = latest_claims(records)
         for name, words in _CLAIMS.items():
             if name in claims:
                 row = claims[name]
@@ -108,6 +108,8 @@ _CLAIMS = {
     "false alarm on null": "Of {n} without a cause, {share} were given one.",
     "out of library: a wrong name": "Where the cause was none of the catalogue, {share} of {n} were given a wrong "
     "name.",
+    "random law: unknown, or an equal law": "Where it was a law that nobody listed, {share} of {n} answers said "
+    "unknown or gave a cause as good.",
 }
 
 

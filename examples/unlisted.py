@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 import real2sim as r2s
-from real2sim.pages.law import sentence
+from real2sim.pages.law import law_sentence
 from real2sim.system.description import shipped_system
 from real2sim.verification.systems import one_axis
 
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> r2s.Diagnosis:
     )
     print(answer.verdict, f"{answer.probabilities[answer.verdict]:.3f}")
     if answer.free_form is not None:
-        print(sentence(answer.free_form))
+        print(law_sentence(answer.free_form))
         for row in answer.free_form["equation"]:
             low, high = row["ci95"]
             print(f"{row['term']}: {row['value']:.4g} ({low:.4g} to {high:.4g}) {row['unit']}")

@@ -18,7 +18,7 @@ from typing import Any
 import pandas as pd
 import real2sim as r2s
 from machine import MACHINES, Machine, closed
-from real2sim.pages.law import misfit_sentence, sentence
+from real2sim.pages.law import law_sentence, misfit_sentence
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("data", type=Path, nargs="?", help="folder with the published files, anywhere below it")
@@ -33,7 +33,7 @@ def rows(machine: Machine, question: str, answer: r2s.Diagnosis, seconds: float)
     """Yield the rows of the table: the answer, then each published number beside its estimate."""
     told = answer.answer
     left = told.beyond.misfit
-    about = sentence(answer.free_form) if answer.free_form is not None else ""
+    about = law_sentence(answer.free_form) if answer.free_form is not None else ""
     if left is not None and left["marked"]:
         about = misfit_sentence(left)
     base = {"machine": machine.name, "question": question, "answer": " + ".join(told.verdict_set)}

@@ -179,6 +179,27 @@ def test_pairs_under_the_other_initial_state_are_in_the_order_of_the_answer(
     assert otherwise["chi2_best"] == [left[t] for t in REVERSED]
 
 
+@pytest.mark.parametrize("exchanged", [False, True])
+@pytest.mark.parametrize("other_exchanged", [False, True])
+def test_a_cause_under_the_other_initial_state_tells_the_cost_of_the_held_out_trial_of_the_answer(
+    stubs, exchanged, other_exchanged
+):
+    order, others = (REVERSED if each else IN_ORDER for each in (exchanged, other_exchanged))
+    own, theirs = fit_of(placed("coulomb")), fit_of(placed("tilt"))
+    found = found_of(pair_of("study", *order, exchanged=exchanged), plain(9e4, 9e4), hypotheses=[own])
+    pair = pair_of("study", *others, exchanged=other_exchanged)
+    other = found_of(pair, plain(9e4, 9e4), BALANCE, hypotheses=[theirs])
+    one, another = decision_of("coulomb", [1.0], 0, coulomb=1.0), decision_of("tilt", [1.0], 0, tilt=1.0)
+    stubs.setattr(answers, "_checked", lambda *given: (one, None, None))
+    stubs.setattr(answers, "conclude", lambda found, options: another)
+    stubs.setattr(answers, "share_of_other", lambda costs, c: 0.4)
+    stubs.setattr(answers, "effect_intervals", lambda pair, h, one: [(0.0, 1.0)] * len(one.effect.parameters))
+    causes = answers.answer(Outcome(found, one, other, False), CONFIG).causes
+    j = {cause.effect: cause.j_held_out for cause in causes}
+    assert j == dict.fromkeys(("coulomb", "tilt"), PATHS["study"][order[1]])
+    assert {cause.effect: cause.robot_holds for cause in causes} == {"coulomb": None, "tilt": BALANCE}
+
+
 def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_sets_do(stubs):
     hypothesis = fit_of(placed("coulomb"))
     found = found_of(pair_of("study", *IN_ORDER), plain(90_000.0, 90_000.0), hypotheses=[hypothesis])

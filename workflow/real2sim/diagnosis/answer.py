@@ -219,12 +219,13 @@ def answer(
     """
     options, found, own, other = settings["diagnosis"], outcome.found, outcome.decision, outcome.other
     own, misfit, measured = _checked(found, own, options, progress)
-    decision, share, otherwise = own, 0.0, None
+    decision, share, otherwise, reverse = own, 0.0, None, False
     named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
     if other is not None:
         under_other = conclude(other, options)
         fitted_second = found.pair.exchanged or outcome.the_other_way
-        otherwise = _otherwise(other, under_other, reverse=other.pair.exchanged != fitted_second)
+        reverse = other.pair.exchanged != fitted_second
+        otherwise = _otherwise(other, under_other, reverse=reverse)
         if not outcome.the_other_way:
             costs = found.cost(options), other.cost(options)
             share = share_of_other(costs, options["calibration"])
@@ -243,7 +244,7 @@ def answer(
     result = replace(result, beyond=replace(result.beyond, machine=describe_machines(machines, options)))
     if not share or other is None:
         return result
-    theirs = _Account(other, under_other, settings).causes()
+    theirs = _Account(other, under_other, settings, reverse=reverse).causes()
     likelier = {
         n: share * p > (1 - share) * own.probabilities[n] for n, p in under_other.probabilities.items()
     }
@@ -353,7 +354,7 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
 
 
 class _Account:
-    """Account of one search and its decision."""
+    """Account of one search and its decision; ``reverse``: its fitted trial is the held-out one of the answer."""
 
     def __init__(
         self,
@@ -362,6 +363,8 @@ class _Account:
         settings: Settings,
         before: Machine | None = None,
         measured: Measured | None = None,
+        *,
+        reverse: bool = False,
     ):
         # the gap is that of the machine that the study is configured with
         self._before, self._before_pair, self._machine = found.attribution.plain, found.pair, before
@@ -370,6 +373,7 @@ class _Account:
         self._found, self._decision, self._settings = found, decision, settings
         self._report: DiagnosisReportSettings = settings["diagnosis"]["report"]
         self._pair, self._attribution = found.pair, found.attribution
+        self._held_out = found.pair.train if reverse else found.pair.held_out
         self._measured = measured if decision.verdict == UNKNOWN else None
         self._law = None if self._measured is None else self._shown(self._measured)
         # what is named, and what explains most: a law without a name is none of the model's effects
@@ -552,16 +556,15 @@ class _Account:
         )
         if not detailed:
             return cause
-        path = simulate(pair.held_out, pair, hypothesis)
-        shown_path = simulate(pair.shown, pair, hypothesis) if pair.exchanged else path
+        path = simulate(self._held_out, pair, hypothesis)
+        shown_path = path if pair.shown is self._held_out else simulate(pair.shown, pair, hypothesis)
         if told:
             for placed, parameters in members:
                 intervals = effect_intervals(pair, hypothesis, placed)
                 for entry, ends in zip(parameters.values(), intervals, strict=True):
                     entry["ci95"] = list(ends)
-        return replace(
-            cause, j_held_out=float(pair.held_out.j(path[None])[0]), closed=self._closed(shown_path)
-        )
+        j = float(self._held_out.j(path[None])[0])
+        return replace(cause, j_held_out=j, closed=self._closed(shown_path))
 
     def with_more(
         self,

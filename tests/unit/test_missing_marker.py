@@ -63,7 +63,7 @@ def test_how_well_a_marker_is_put_back_is_measured_in_gaps_that_are_made(samples
     gap = slice(700, 700 + samples)
     seen = np.ones((len(points), 4), bool)
     seen[gap, 2] = False
-    known = missing_marker.known_to(
+    known = missing_marker.error_of_put_back(
         np.where(seen[:, :, None], points, np.nan), seen, 2, gap, lost_marker.SKIN
     )
     # gaps of that length all over the trial, none of which were made
@@ -82,10 +82,12 @@ def test_nothing_tells_how_well_a_marker_is_known_that_is_never_seen():
     seen = np.ones((len(points), 4), bool)
     seen[:, 1] = False
     whole = slice(0, len(points))
-    assert not missing_marker.known_to(points, seen, 1, whole, lost_marker.SKIN).sd.any()
+    assert not missing_marker.error_of_put_back(points, seen, 1, whole, lost_marker.SKIN).sd.any()
     # one that is lost for longer than it is seen is told by shorter gaps
     seen[:400, 1] = True
-    assert missing_marker.known_to(points, seen, 1, slice(400, len(points)), lost_marker.SKIN).sd.any()
+    assert missing_marker.error_of_put_back(
+        points, seen, 1, slice(400, len(points)), lost_marker.SKIN
+    ).sd.any()
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"{REAL}: recordings by others, not in here")

@@ -16,8 +16,8 @@ from scipy.fft import dct
 from real2sim import signals
 from real2sim.diagnosis.sensors import by_sensor
 
-# SD of a missing sample, in SD of the noise: as good as anything
-_ANYTHING = 1e4
+# SD of a missing sample in SD of the noise: a prior so flat that the sample may be anything
+_FLAT_SD = 1e4
 # Functions that a missing stretch may follow beside those that its length and the last band's edge ask for
 _MORE_FUNCTIONS = 4
 
@@ -142,7 +142,7 @@ class Whitening:
                 rows = np.zeros((*functions.shape, known.shape[1]))
                 rows[:, :, c] = functions
                 white = self.in_noise(rows)
-                out.append(_ANYTHING / np.sqrt((white**2).sum(axis=1).max()) * white)
+                out.append(_FLAT_SD / np.sqrt((white**2).sum(axis=1).max()) * white)
         return np.concatenate([*out, np.empty((0, self.bands.last * known.shape[1]))])
 
     @property

@@ -126,7 +126,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
 
     Costs J, probability and gap_closed (share of J above its floor) have no unit. ``stage`` and ``axes`` are empty
     where the verdict is none, ``gap_closed`` also where it is unknown and no law was measured. ``law`` is the kind and
-    the place of that law; it is what J is told with and without. ``misfit_sd`` is what a named cause leaves of
+    the place of that law, and ``J_with_effect`` then the cost with it. ``misfit_sd`` is what a named cause leaves of
     the held-out trial, in standard deviations of noise, where its form is not right.
     """
     rows = []

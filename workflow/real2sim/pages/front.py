@@ -108,7 +108,7 @@ _CLAIMS = {
     "false alarm on null": "Of {n} without a cause, {share} were given one.",
     "out of library: a wrong name": "Where the cause was none of the catalogue, {share} of {n} were given a wrong "
     "name.",
-    "random law: unknown, or an equal law": "Where it was a law that nobody listed, {share} of {n} answers said "
+    "random law: unknown, or an equal law": "Where the cause was a law that nobody listed, {share} of {n} answers said "
     "unknown or gave a cause as good.",
 }
 

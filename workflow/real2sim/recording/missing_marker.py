@@ -52,13 +52,14 @@ def shapes(length: int) -> np.ndarray:
     return np.asarray(np.sqrt(2) * np.sin(np.pi * np.arange(1, _SHAPES + 1)[:, None] * way))
 
 
-def known_to(
+def error_of_put_back(
     points: np.ndarray, seen: np.ndarray, missing: int, gap: slice, skin: IngestSkinSettings
 ) -> PutBack:
     """Return how well a marker is known that `put_back` brings back in a gap of a trial.
 
     It is what `put_back` misses in gaps of this length that are made where all four markers are seen, or of half of the
-    longest such stretch where that is shorter. Where they are never seen together nothing tells, and the SD are 0.
+    longest such stretch where that is shorter. Where they are never seen together nothing tells, and the
+    marker is taken as known: the SD are 0.
     ``points`` (n, 4, 3) [m], ``seen`` (n, 4) and ``skin`` as of `put_back`.
     """
     runs = signals.segments(np.asarray(seen.all(axis=1)))

@@ -137,7 +137,7 @@ def _put_back(trial: Trial, before: np.ndarray, skin: IngestSkinSettings) -> tup
     seen = np.isfinite(before).all(axis=2) & (before == trial.pelvis_markers).all(axis=2)
     one = np.isfinite(trial.pelvis_position).all(axis=1) & ((~seen).sum(axis=1) == 1)
     return tuple(
-        missing_marker.known_to(before, seen, marker, gap, skin)
+        missing_marker.error_of_put_back(before, seen, marker, gap, skin)
         for marker in range(seen.shape[1])
         for gap in signals.segments(one & ~seen[:, marker])
     )

@@ -624,9 +624,11 @@ DiagnosisSkinSettings = TypedDict(
 DiagnosisPelvisSettings = TypedDict(
     "DiagnosisPelvisSettings",
     {
-        "lowest_cutoff_hz": float,
+        "smoothing_hz": float,
+        "smoothing_share": float,
+        "level_share": float,
+        "line_coefficients": int,
         "loud_power": float,
-        "cutoff_margin": float,
     },
 )
 

@@ -1,11 +1,11 @@
 """Where the parameters would be without the noise of the replayed pelvis, and how well they are known then.
 
-The pelvis path that is replayed is measured, so the simulation shakes with its noise. A fit prefers parameters that
-shake less: a stiff pitch axis is given several times its damping, and the curvature there says that this is known to
-a tenth. The cost that noise adds on average is simulated and taken off, and so is what only noise tells about a
-parameter: the corrected score of Stefanski (Commun. Stat. Theory 14, 1985) and Nakamura (Biometrika 77, 1990), with
-simulated draws for its expectation. The corrected point scatters with the draws; it says how far a fit can be
-trusted, and is no fit itself.
+Where the motion that drives a system is replayed as it was measured, the simulation shakes with its noise. A fit
+prefers parameters that shake less, and the curvature there says that they are well known. The cost that noise adds on
+average is simulated and taken off, and so is what only noise tells about a parameter: the corrected score of Stefanski
+(Commun. Stat. Theory 14, 1985) and Nakamura (Biometrika 77, 1990), with simulated draws for its expectation. The
+corrected point scatters with the draws; it says how far a fit can be trusted, and is no fit itself. A replay of the
+most probable motion (`recording.pelvis`) has no such noise.
 
 `inference.identifiability.corrected_fit` does the same for a fit of J by itself. Two implementations stand because
 their information differs: residuals of J are correlated in time, so its covariance needs the long-run scores of each
@@ -83,12 +83,14 @@ def noise_terms(
 def corrected(pair: Pair, hypothesis: Hypothesis, rule: Correction) -> tuple[np.ndarray, np.ndarray]:
     """``z`` (n + p,) of a converged hypothesis without the bias by noise of the pelvis, and its covariance.
 
-    The strap's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
-    simulation does not bear a step, it stops there.
+    The system's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
+    simulation does not bear a step, it stops there. The point itself where the drive has no noise.
     """
     problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     everything = np.arange(len(hypothesis.z))
     shaken = pair.train.shaken(rule.draws, rule.seed)
+    if shaken is None:
+        return _as_it_is(problem, hypothesis.z)
 
     def noise(point: np.ndarray) -> np.ndarray:
         return pair.train.whiten(shaken(pair.system.values(point)))
@@ -120,6 +122,14 @@ def corrected(pair: Pair, hypothesis: Hypothesis, rule: Correction) -> tuple[np.
         if done:
             break
     return z, covariance
+
+
+def _as_it_is(problem: JointResiduals, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point (n + p,) and its covariance by the curvature there."""
+    _, jacobian = problem.with_jacobian(z, np.arange(len(z)))
+    normal = jacobian.T @ jacobian
+    normal[np.diag_indices_from(normal)] += 1e-9
+    return z.copy(), np.asarray(np.linalg.inv(normal))
 
 
 def _inverse(normal: np.ndarray, noise: np.ndarray, least_share: float) -> np.ndarray:

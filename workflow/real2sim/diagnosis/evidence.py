@@ -144,8 +144,11 @@ class Evidence(Protocol):
     ) -> np.ndarray:
         """Return chi-squared (draws, s) by sensor of noise alone where effects with numbers x (p,) are true."""
 
-    def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the residuals (draws, n, c) by noise of the drive, as a function of parameters (p,)."""
+    def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Return the residuals (draws, n, c) by noise of the drive, as a function of parameters (p,).
+
+        None where simulations are driven by the most probable motion and not by what was measured: that bends no fit.
+        """
 
     @property
     def rate_hz(self) -> float:

@@ -8,7 +8,7 @@ band of frequency and over all channels at once. After that a sum of squares is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -24,12 +24,12 @@ from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scale
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Chains, Context, Elsewhere
 from real2sim.effects.replay import EffectReplay, InputBasis
-from real2sim.geometry import AXES, INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
+from real2sim.geometry import AXES, INTERFACE_MARKERS, pelvis_frame
 from real2sim.inference.cost import TrialCost
 from real2sim.recording.jumps import JumpRule, spikes
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel
-from real2sim.recording.pelvis import lowpass_from_standing, rigid_markers
+from real2sim.recording.pelvis import PathFilter, path_noise, path_of, rigid_markers, with_path
 from real2sim.recording.skin import Skin
 from real2sim.recording.trial import Trial, replay_inputs
 from real2sim.study import strap_localise
@@ -64,8 +64,8 @@ class Recorded:
 
     ``robot`` (n, 6) is what `robot_motion` returns, None without a log; ``context`` goes to the effects; ``cost`` is J
     of the paper; ``coordinates`` (n, 6) of the interface [m, rad]; ``skin`` is what the pelvis' markers show of each
-    other; ``jumped_s`` for how long [s] pelvis markers jumped; ``pelvis_cutoff_hz`` of the low-pass of the pelvis path;
-    ``put_back`` are gaps of pelvis markers that were lost or jumped.
+    other; ``jumped_s`` for how long [s] pelvis markers jumped; ``path`` is the filter that made the most probable path
+    of the pelvis; ``put_back`` are gaps of pelvis markers that were lost or jumped.
     """
 
     trial: Trial
@@ -73,7 +73,7 @@ class Recorded:
     context: Context
     cost: TrialCost
     coordinates: np.ndarray
-    pelvis_cutoff_hz: float
+    path: PathFilter
     skin: Skin | None = None
     jumped_s: Mapping[str, float] = field(default_factory=dict)
     put_back: tuple[PutBack, ...] = ()
@@ -524,27 +524,16 @@ class StrapEvidence:
             replay.set_command(i + 1, replay.command_for(*self._pelvis_by(displaced)))
         return np.asarray(np.nan_to_num(self._apart(replay, parameters, len(moved), 0.0, 0.0)))
 
-    def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        """Return residuals (draws, n, c) by noise of the replayed pelvis, as a function of parameters (12,)."""
-        replay = self.replay([], draws + 1)
-        self._shake(replay, draws, seed)
-        return lambda parameters: self._apart(replay, parameters, draws, 0.0, 0.0)
-
-    def _pelvis_noise(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw noise (n, 4, 3) [m] of the pelvis markers as the filters of the pelvis path leave it."""
-        model, n = self.levels.noise_model, len(self.trial.time_s)
-        rate, cutoff = model.bands.rate_hz, self.recorded.pelvis_cutoff_hz
-        if cutoff >= model.bands.low_pass.cutoff_hz:
-            return model.filtered(PELVIS_MARKERS, n, rng)
-        is_filtered = model.bands.is_filtered
-        noise = (model.filtered if is_filtered else model.unfiltered)(PELVIS_MARKERS, n, rng)
-        return lowpass_from_standing(noise, rate, cutoff, self.context.start)
+    def shaken(self, draws: int, seed: int) -> None:
+        """None: a replay is driven by the most probable path, and what is left of the person's bends no fit."""
 
     def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
         if (seed, i) not in self.cache.draws:
             rng = np.random.default_rng([seed, i])
-            rotation, position = self._pelvis_by(self._pelvis_noise(rng))
+            left = self.recorded.path.left(path_noise(self.trial, self.levels.noise_model, rng), rng)
+            drawn = with_path(self.trial, path_of(self.trial) + left)
+            rotation, position = drawn.pelvis_rotation, drawn.pelvis_position
             own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(self.trial.time_s), rng)
             self.cache.draws[seed, i] = rotation, position, own
         return self.cache.draws[seed, i]

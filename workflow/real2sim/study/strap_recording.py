@@ -17,7 +17,7 @@ from real2sim.recording import missing_marker
 from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
-from real2sim.recording.pelvis import CutoffRule, pelvis_shape, smoothed_pelvis
+from real2sim.recording.pelvis import PathRule, most_probable_pelvis, pelvis_shape
 from real2sim.recording.skin import skin_of
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import (
@@ -108,10 +108,7 @@ def _read(
     seen = trial.pelvis_markers
     trial, jumped = without_ghosts(trial, rule, settings["ingest"]["skin"], ident["settle_after_gap_s"])
     put_back = _put_back(trial, seen, settings["ingest"]["skin"])
-    smoothing = CutoffRule(**options["pelvis"])
-    trial, cutoff = smoothed_pelvis(
-        trial, noise.marker_sd, rate, settings["ingest"]["cutoff_hz"], start, smoothing
-    )
+    trial, path = most_probable_pelvis(trial, noise, start, PathRule(**options["pelvis"]))
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     let_go = np.zeros((6, 6))
     if measured is not None:
@@ -119,13 +116,14 @@ def _read(
             trial, robot, *at_first(measured, start, rate, log_sd, options["start"])
         )
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
+    cutoff = min(path.highest_hz, settings["ingest"]["cutoff_hz"])
     context = _context(
         trial, neutral, robot, start, rule, *(signals.lowpass(x, rate, cutoff, 4) for x in (q, qd))
     )
     sigma = CostScales(ident["scales"]["position_m"], ident["scales"]["velocity_m_per_s"])
     cost = TrialCost(trial.interface, rate, sigma, trial.usable)
     skin = skin_of(trial.time_s, trial.pelvis_markers, context.shapes.segment, options["skin"])
-    return Recorded(trial, measured, context, cost, q, cutoff, skin, jumped, put_back), qd, let_go
+    return Recorded(trial, measured, context, cost, q, path, skin, jumped, put_back), qd, let_go
 
 
 def _put_back(trial: Trial, before: np.ndarray, skin: IngestSkinSettings) -> tuple[PutBack, ...]:

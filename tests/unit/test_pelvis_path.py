@@ -63,6 +63,13 @@ def test_noise_alone_is_no_motion():
     assert made.passed[frequency > 2].mean() < 0.03
 
 
+def test_what_laws_depend_on_is_low_passed_within_limits():
+    """Of a person who stood still, nothing is left: no filter has a cut-off of zero."""
+    assert _filter(_noise(2)).cutoff_hz(3.0, 12.0) == 3.0
+    assert 3.0 < _filter(20 * _wander(2) + _noise(3)).cutoff_hz(3.0, 12.0) < 12.0
+    assert _filter(_wander(2) + 1e3 * _noise(4)).cutoff_hz(3.0, 12.0) == 12.0
+
+
 def test_a_motion_that_is_far_louder_than_the_noise_is_left_as_it_is():
     true = _wander(3)
     quiet = 0.01 * _noise(4)

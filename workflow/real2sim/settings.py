@@ -629,6 +629,7 @@ DiagnosisPelvisSettings = TypedDict(
         "level_share": float,
         "line_coefficients": int,
         "loud_power": float,
+        "lowest_cutoff_hz": float,
     },
 )
 

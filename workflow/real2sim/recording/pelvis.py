@@ -36,7 +36,8 @@ class PathRule:
 
     Power is averaged over ``smoothing_hz`` [Hz], or the ``smoothing_share`` of the frequency where that is more. A line
     of the spectrum, as steps make them, is averaged over ``line_coefficients`` cosine coefficients alone where that has
-    ``loud_power`` times the power of the noise, whose level is known to ``level_share``.
+    ``loud_power`` times the power of the noise, whose level is known to ``level_share``. What laws depend on is never
+    low-passed below ``lowest_cutoff_hz`` [Hz].
     """
 
     smoothing_hz: float
@@ -44,6 +45,7 @@ class PathRule:
     level_share: float
     line_coefficients: int
     loud_power: float
+    lowest_cutoff_hz: float
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,16 @@ class PathFilter:
         """Share (f, 6) of each coefficient that the person made: that of the motion in the power of both."""
         return np.asarray(self.motion / (self.motion + self.noise))
 
-    @property
-    def highest_hz(self) -> float:
-        """Highest frequency [Hz] at which half of the power of some coordinate is motion."""
-        frequency = np.arange(len(self.passed)) * self.rate_hz / (2 * len(self.passed))
-        return float(frequency[(self.passed >= 0.5).any(axis=1)].max(initial=0.0))
+    def cutoff_hz(self, lowest_hz: float, last_hz: float) -> float:
+        """Return the highest frequency [Hz] about which half of some coordinate is motion, within limits.
+
+        Shares are averaged over 1 Hz: among hundreds of coefficients, noise makes a line here and there.
+        """
+        passed, per_hz = self.passed, 2 * len(self.passed) / self.rate_hz
+        frequency = np.arange(len(passed)) / per_hz
+        about = _averaged(passed, np.full(len(passed), per_hz))
+        highest = frequency[(about >= 0.5).any(axis=1)].max(initial=0.0)
+        return float(np.clip(highest, lowest_hz, last_hz))
 
     def most_probable(self, path: np.ndarray) -> np.ndarray:
         """Return the mean (n, 6) of the person's path given a measured one (n, 6)."""

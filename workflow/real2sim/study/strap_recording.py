@@ -108,7 +108,8 @@ def _read(
     seen = trial.pelvis_markers
     trial, jumped = without_ghosts(trial, rule, settings["ingest"]["skin"], ident["settle_after_gap_s"])
     put_back = _put_back(trial, seen, settings["ingest"]["skin"])
-    trial, path = most_probable_pelvis(trial, noise, start, PathRule(**options["pelvis"]))
+    reading = PathRule(**options["pelvis"])
+    trial, path = most_probable_pelvis(trial, noise, start, reading)
     measured = robot_motion(folder / "robot.parquet", trial.interface, start)
     let_go = np.zeros((6, 6))
     if measured is not None:
@@ -116,7 +117,7 @@ def _read(
             trial, robot, *at_first(measured, start, rate, log_sd, options["start"])
         )
     q, qd = (measured_coordinates(folder / "pose.parquet", prefix) for prefix in ("q", "qd"))
-    cutoff = min(path.highest_hz, settings["ingest"]["cutoff_hz"])
+    cutoff = path.cutoff_hz(reading.lowest_cutoff_hz, settings["ingest"]["cutoff_hz"])
     context = _context(
         trial, neutral, robot, start, rule, *(signals.lowpass(x, rate, cutoff, 4) for x in (q, qd))
     )

@@ -15,7 +15,7 @@ RATE, START, SD = 100.0, 50, 2e-3
 RULE = PathRule(**validated({}, "config", Path("defaults"))["diagnosis"]["pelvis"])
 TIME = np.arange(3000) / RATE
 # standing for a second, then setting out within another
-_begun = np.clip(TIME - 1, 0, 1) ** 3 * (10 - 15 * np.clip(TIME - 1, 0, 1) + 6 * np.clip(TIME - 1, 0, 1) ** 2)
+BEGUN = np.clip(TIME - 1, 0, 1) ** 3 * (10 - 15 * np.clip(TIME - 1, 0, 1) + 6 * np.clip(TIME - 1, 0, 1) ** 2)
 
 
 def _noise(seed: int, count: int | None = None) -> np.ndarray:
@@ -30,7 +30,7 @@ def _wander(seed: int) -> np.ndarray:
     louder = np.sqrt((2.2 / 0.8) ** 6 / (1 + (frequency / 0.8) ** 6))
     white = np.random.default_rng(seed).standard_normal((count, 6))
     path = idct(SD * louder[:, None] * white, axis=0, norm="ortho")[200:-200]
-    return path * _begun[:, None]
+    return path * BEGUN[:, None]
 
 
 def _filter(path: np.ndarray) -> PathFilter:
@@ -100,7 +100,7 @@ def test_a_path_starts_where_the_person_stood_and_not_at_a_noisy_sample():
 
 def test_a_path_that_ends_in_motion_keeps_its_end():
     """A spectrum takes the end of a walk for a jump, which would count as motion at every frequency."""
-    true = _wander(7) + 1.2 * np.cumsum(_begun)[:, None] / RATE
+    true = _wander(7) + 1.2 * np.cumsum(BEGUN)[:, None] / RATE
     made = _filter(true + _noise(8))
     frequency = np.arange(len(made.passed)) * RATE / (2 * len(made.passed))
     assert made.passed[(frequency > 5) & (frequency < 12)].mean() < 0.05

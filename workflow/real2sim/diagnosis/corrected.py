@@ -1,4 +1,4 @@
-"""Where the parameters would be without the noise of the replayed pelvis, and how well they are known then.
+"""Where the parameters would be without the noise of what drives a system, and how well they are known then.
 
 Where the motion that drives a system is replayed as it was measured, the simulation shakes with its noise. A fit
 prefers parameters that shake less, and the curvature there says that they are well known. The cost that noise adds on
@@ -81,10 +81,10 @@ def noise_terms(
 
 
 def corrected(pair: Pair, hypothesis: Hypothesis, rule: Correction) -> tuple[np.ndarray, np.ndarray]:
-    """``z`` (n + p,) of a converged hypothesis without the bias by noise of the pelvis, and its covariance.
+    """``z`` (n + p,) of a converged hypothesis without the bias by noise of the drive, and its covariance.
 
     The system's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
-    simulation does not bear a step, it stops there. The point itself where the drive has no noise.
+    simulation does not bear a step, it stops there. It is the fitted point where the drive has no noise.
     """
     problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
     everything = np.arange(len(hypothesis.z))

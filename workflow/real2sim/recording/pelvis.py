@@ -182,16 +182,8 @@ def path_noise(trial: Trial, noise: NoiseModel, rng: np.random.Generator) -> np.
     moved = noise.filtered(PELVIS_MARKERS, rigid.shape[1], rng)
     clean, shaken = pelvis_frame(*rigid), pelvis_frame(*(rigid + np.moveaxis(moved, 1, 0)))
     first = clean[0][np.argmax(np.isfinite(clean[0]).all(axis=(1, 2)))]
-    still, turned = (_vectors_from(first, pose[0]) for pose in (clean, shaken))
-    return signals.bridged(np.hstack([shaken[1] - clean[1], turned - still]))
-
-
-def _vectors_from(first: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) of rotations (n, 3, 3) from another one (3, 3); NaN where they are unknown."""
-    known = np.isfinite(rotation).all(axis=(1, 2))
-    vectors = np.full((len(rotation), 3), np.nan)
-    vectors[known] = Rotation.from_matrix(first.T @ rotation[known]).as_rotvec()
-    return vectors
+    still, turned = (rotation_vectors(pose[0], first) for pose in (clean, shaken))
+    return np.hstack([signals.bridged(shaken[1] - clean[1]), turned - still])
 
 
 def most_probable_pelvis(

@@ -77,11 +77,15 @@ def measured_coordinates(path: Path, prefix: str) -> np.ndarray:
     return signals.bridged(np.column_stack([column.to_numpy() for column in table.columns]))
 
 
-def rotation_vectors(rotation: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) from the first known of rotations (n, 3, 3), unknown ones bridged."""
+def rotation_vectors(rotation: np.ndarray, reference: np.ndarray | None = None) -> np.ndarray:
+    """Rotation vectors (n, 3) of rotations (n, 3, 3) from a reference (3, 3), unknown ones bridged.
+
+    Without a reference, from the first known rotation.
+    """
     known = np.isfinite(rotation).all(axis=(1, 2))
     vectors = np.full((len(rotation), 3), np.nan)
-    vectors[known] = Rotation.from_matrix(rotation[np.argmax(known)].T @ rotation[known]).as_rotvec()
+    first = rotation[np.argmax(known)] if reference is None else reference
+    vectors[known] = Rotation.from_matrix(first.T @ rotation[known]).as_rotvec()
     return signals.bridged(vectors)
 
 

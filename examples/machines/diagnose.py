@@ -98,6 +98,12 @@ def main(arguments: list[str] | None = None) -> pd.DataFrame:
             print(f"{name}: {', '.join(machine.content['files'])}\n  {machine.origin}")
         return pd.DataFrame()
     questions, table = list(asked(options)), {}
+    if not questions:
+        names = options.machine or MACHINES
+        known = [f"{q} ({name})" for name in names for q in Machine.load(name, Path()).content["questions"]]
+        raise r2s.InputError(
+            "--question", "", ", ".join(options.question), ", ".join(known), "Name one of them."
+        )
     with ProcessPoolExecutor(options.jobs) as pool:
         jobs = {pool.submit(ask, m, options.data, q, options.out): (m, q) for m, q in questions}
         for done in as_completed(jobs):

@@ -78,3 +78,10 @@ def test_the_command_says_where_the_files_come_from(machine, capsys):
     command = importlib.import_module("diagnose")
     assert command.main(["--where"]).empty
     assert "silverbox: SNLS80mV.csv" in capsys.readouterr().out
+
+
+def test_a_question_that_no_machine_has_is_refused_by_name(machine, data, tmp_path):
+    command = importlib.import_module("diagnose")
+    given = [str(data), "--machine", "silverbox", "--question", "multisine", "--out", str(tmp_path)]
+    with pytest.raises(InputError, match=r"large \(silverbox\), small"):
+        command.main(given)

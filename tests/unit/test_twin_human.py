@@ -14,6 +14,7 @@ from real2sim.study.twin.human import (
     MIRROR_SIGN,
     SPHERE_RADIUS,
     Body,
+    add_floor,
     human_spec,
     qpos_of,
     twin_human,
@@ -174,3 +175,36 @@ def test_mjcf_of_a_subject_file(tmp_path):
     assert model.nv == 27
     assert model.body_subtreemass[1] == pytest.approx(66.0, rel=1e-5)
     assert "phantom" in (tmp_path / "human.xml").read_text()
+
+
+def _creep(cone: mujoco.mjtCone | None = None) -> float:
+    """Speed [m/s] of a sole that carries 15 kg and is pushed along the floor by 0.3 of that weight."""
+    contact = twin_settings()["human"]["contact"]
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.004
+    add_floor(spec)
+    if cone is not None:
+        spec.option.cone = cone
+    sole = spec.worldbody.add_body(name="sole", pos=[0, 0, SPHERE_RADIUS])
+    for axis in ([1, 0, 0], [0, 0, 1]):
+        sole.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    friction = [contact["friction"], 0.005, 0.0001]
+    soft = {"solref": contact["solref"], "solimp": contact["solimp"], "priority": 1}
+    sole.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[SPHERE_RADIUS, 0, 0],
+        mass=15,
+        contype=0,
+        conaffinity=1,
+        friction=friction,
+        **soft,
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.xfrc_applied[1, 0] = 0.3 * 15 * 9.81
+    mujoco.mj_step(model, data, nstep=500)
+    return float(data.qvel[0])
+
+
+def test_a_sole_creeps_half_as_much_as_under_a_pyramid_of_friction():
+    assert 0 < _creep() < 0.55 * _creep(mujoco.mjtCone.mjCONE_PYRAMIDAL)

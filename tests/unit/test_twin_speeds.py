@@ -188,3 +188,13 @@ def test_the_aware_take_up_the_speed_of_the_robot_and_the_others_do_not():
     # the reference that both start in: the aware are slower from the first step on
     first = recording.along[:, 10] - recording.along[:, 0]
     assert first[:2].mean() < 0.9 * first[2:].mean()
+
+
+def test_whoever_is_slowed_down_more_presses_on_more():
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, cap, (), True) for cap in (0.75, 0.95)])
+    walk.run(0.5)
+    felt = walk._felt / walk.policy.reference.speed
+    lead = (walk._share / felt).reshape(2, -1).mean(axis=1) - 1
+    assert lead[0] > 2 * lead[1] > 0
+    wanted = felt + STUDY["twin"]["coupled"]["press"] * (1 - felt)
+    np.testing.assert_allclose(walk._share, wanted, atol=0.01)

@@ -1179,7 +1179,7 @@ TwinCoupledSettings = TypedDict(
         "sensitivity": list[float],
         "study_sensitivity": list[float],
         "gaits": list[str],
-        "lead": float,
+        "press": float,
         "speed_sense_s": float,
         "cadence_exponent": float,
     },

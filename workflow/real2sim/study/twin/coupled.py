@@ -446,7 +446,9 @@ class CoupledWalk(_Walkers):
             return
         robot = self.batch.bind("qvel")[:, self._base]
         self._felt += (robot - self._felt) * min(1.0, self.control_s / self._coupled["speed_sense_s"])
-        self._share = self._meant((1 + self._coupled["lead"]) * self._felt / self.policy.reference.speed)
+        felt = self._felt / self.policy.reference.speed
+        # a share of what the robot lacks: a mere factor on its speed would let both slow down further and further
+        self._share = self._meant(felt + self._coupled["press"] * (1 - felt))
 
     def _meant(self, share: np.ndarray) -> np.ndarray:
         """Return the speed that each means to walk at (n,): the aware ``share``, no slower than their gait is known."""

@@ -373,7 +373,11 @@ def servo_lead_s() -> float:
 
 
 def add_floor(spec: mujoco.MjSpec) -> None:
-    """The ground plane z = 0, the only thing that feet touch."""
+    """The ground plane z = 0, the only thing that feet touch, with friction that is alike in all directions.
+
+    Under MuJoCo's cheaper pyramid of friction soft soles creep: a standing heel slips twice as fast.
+    """
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -391,7 +395,6 @@ def human_spec(who: Body, settings: TwinHumanSettings) -> mujoco.MjSpec:
     spec.compiler.degree = False
     spec.option.timestep = settings["timestep_s"]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     # five spheres under a foot are tried one by one in less time than a tree of them is searched (3 to 4 % of a step)
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     add_floor(spec)

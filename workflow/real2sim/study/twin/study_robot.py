@@ -248,7 +248,6 @@ def _set_options(spec: mujoco.MjSpec, timestep: float) -> None:
     """Set what a walk needs: weight, the time step, and the solver as MuJoCo has it by default."""
     spec.option.timestep = timestep
     spec.option.gravity = [0, 0, -9.81]
-    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     spec.option.tolerance, spec.option.iterations = 1e-8, 100
 
 

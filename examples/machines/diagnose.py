@@ -78,6 +78,16 @@ def ask(name: str, data: Path, question: str, out: Path) -> list[dict[str, Any]]
     return list(rows(machine, question, answer, time.monotonic() - begun))
 
 
+def check_questions(options: argparse.Namespace) -> None:
+    """Raise InputError for a question that none of the machines asked for has."""
+    names = options.machine or MACHINES
+    known = {q: name for name in names for q in Machine.load(name, Path()).content["questions"]}
+    unknown = [q for q in options.question or () if q not in known]
+    if unknown:
+        listed = ", ".join(f"{q} ({name})" for q, name in known.items())
+        raise r2s.InputError("--question", "", ", ".join(unknown), listed, "Name one of them.")
+
+
 def asked(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
     """Yield machine and question of everything that is to be asked; files are checked first."""
     for name in options.machine or MACHINES:
@@ -97,13 +107,8 @@ def main(arguments: list[str] | None = None) -> pd.DataFrame:
             machine = Machine.load(name, Path())
             print(f"{name}: {', '.join(machine.content['files'])}\n  {machine.origin}")
         return pd.DataFrame()
+    check_questions(options)
     questions, table = list(asked(options)), {}
-    if not questions:
-        names = options.machine or MACHINES
-        known = [f"{q} ({name})" for name in names for q in Machine.load(name, Path()).content["questions"]]
-        raise r2s.InputError(
-            "--question", "", ", ".join(options.question), ", ".join(known), "Name one of them."
-        )
     with ProcessPoolExecutor(options.jobs) as pool:
         jobs = {pool.submit(ask, m, options.data, q, options.out): (m, q) for m, q in questions}
         for done in as_completed(jobs):

@@ -1,6 +1,7 @@
 """Readers and writers of what the phantom writes: round trips, variants of real exports, refusals."""
 
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -344,6 +345,14 @@ def test_log_reads_with_the_reference_decoder(tmp_path):
     assert joints[2].velocity[1] == given.joints["arm_roll"][2, 1]
     assert wrenches[1].wrench.torque.z == given.wrench[1, 5]
     assert [m.data for topic, m in messages if topic == "/sync"] == [False, True]
+
+
+def test_a_missing_package_is_no_fault_of_the_log(tmp_path, monkeypatch):
+    path = tmp_path / "log.mcap"
+    write_log(path, robot_log(n=5))
+    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
+    with pytest.raises(ImportError):
+        read_log(path)
 
 
 def test_log_without_wrench_and_sync(tmp_path):

@@ -354,6 +354,8 @@ def decoder(channel: Channel) -> Callable[[bytes], Any]:
         # the parser of definitions prints what it raises
         with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
             return _cdr(channel) if kind[0] == "cdr" else _protobuf(channel)
+    except ImportError:  # a package is missing: no fault of the file
+        raise
     except Exception as error:  # both libraries raise many kinds, by what is odd
         raise Undecodable(f"its definition cannot be read: {error}"[:200], "schema") from error
 

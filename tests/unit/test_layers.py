@@ -51,6 +51,39 @@ def test_a_form_that_stands_for_unlisted_laws_keeps_its_doubt(constants):
     assert decision.probabilities[UNKNOWN] >= 0.9 * constants["ambiguous_share"]
 
 
+def test_a_name_that_the_law_gives_another_equation_keeps_its_doubt(constants):
+    decision = decide(PLAIN, [COULOMB], SAMPLES, constants)
+    layer = Candidate(COULOMB.names, (1_150.0, 1_150.0))
+    law = Candidate(("external force",), (4_500.0, 4_500.0), unlisted=True)
+    after = with_layers(
+        decision, [COULOMB], PLAIN, {0: layer}, [law], SAMPLES, constants, {0: frozenset(COULOMB.names)}
+    )
+    sure = with_layers(decision, [COULOMB], PLAIN, {0: layer}, [law], SAMPLES, constants)
+    before, lost = decision.probabilities, sure.probabilities[UNKNOWN]
+    expected = lost + constants["ambiguous_share"] * (before[UNKNOWN] - lost)
+    assert after.probabilities[UNKNOWN] == pytest.approx(expected)
+    assert sum(after.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_an_effect_beside_the_mended_one_wins_all(constants):
+    slack = Candidate(("slack",), (40_000.0, 40_000.0))
+    friction = Candidate(("coulomb",), (20_000.0, 20_000.0))
+    both = Candidate(("coulomb", "slack"), (6_000.0, 8_000.0))
+    sets, layer = [slack, friction, both], Candidate(both.names, (1_150.0, 1_150.0))
+    law = Candidate(("external force",), (4_500.0, 4_500.0), unlisted=True)
+    decision = decide(PLAIN, sets, SAMPLES, constants)
+    assert decision.verdict == UNKNOWN
+    after = with_layers(
+        decision, sets, PLAIN, {2: layer}, [law], SAMPLES, constants, {2: frozenset({"slack"})}
+    )
+    sure = with_layers(decision, sets, PLAIN, {2: layer}, [law], SAMPLES, constants)
+    won = {n: sure.probabilities[n] - decision.probabilities[n] for n in both.names}
+    still = {n: after.probabilities[n] - decision.probabilities[n] for n in both.names}
+    assert still["coulomb"] == pytest.approx(won["coulomb"])
+    assert still["slack"] == pytest.approx((1 - constants["ambiguous_share"]) * won["slack"])
+    assert sum(after.probabilities.values()) == pytest.approx(1.0)
+
+
 def test_nothing_changes_without_a_law_on_top(constants):
     decision = decide(PLAIN, [COULOMB], SAMPLES, constants)
     assert with_layers(decision, [COULOMB], PLAIN, {}, [], SAMPLES, constants) is decision

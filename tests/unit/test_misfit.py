@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real2sim.diagnosis.free_form import Law
-from real2sim.diagnosis.kin import is_kin
+from real2sim.diagnosis.kin import is_kin, mended_by
 from real2sim.diagnosis.misfit import _reach
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
@@ -63,6 +63,21 @@ def test_displacements_are_kin_of_what_they_are_a_case_of():
     # a strap that migrates and markers that drift cannot be told apart
     assert is_kin(_law(drifting), _named("migration"))
     assert not is_kin(_law(drifting), _named("slack", "ty"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "law_axis", "mended"),
+    [
+        ("memory", "ty", True),
+        ("elastic", "ty", False),
+        # any course in time can stand for every law of its axis, and for none of another
+        ("external force", "ty", True),
+        ("external force", "tx", False),
+    ],
+)
+def test_a_law_on_top_mends_a_name_of_its_kind_or_with_any_history(kind, law_axis, mended):
+    named, law = _named("relaxation", "ty"), _law(_family(kind, law_axis))
+    assert mended_by(law, named) == (frozenset({"relaxation"}) if mended else frozenset())
 
 
 def test_effects_name_families_that_exist():

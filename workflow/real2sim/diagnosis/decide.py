@@ -278,6 +278,7 @@ def with_layers(
     alone: Sequence[Candidate],
     samples: tuple[int, ...],
     calibration: DiagnosisCalibrationSettings,
+    mended: Mapping[int, frozenset[str]] | None = None,
 ) -> Decision:
     """Share out the probability of `unknown` between laws without a name and listed sets with such a law beside them.
 
@@ -294,6 +295,9 @@ def with_layers(
         Measured laws without a listed effect, the names those of their families.
     samples
         Residuals of each trial.
+    mended
+        By the same index, the effects of the set that the law on top may only give another equation: they stand for
+        laws without a name as often as for themselves, like a set that is ``ambiguous``.
     """
     if not layers or not alone:
         return decision
@@ -311,13 +315,31 @@ def with_layers(
     listed = of_sets.max() / (of_sets.max() + float(np.exp(rows[len(layers) :].max() - rows.max())))
     # and where even that leaves much, it is neither
     listed /= 1 + _odds_of_unlisted(left / _gap(plain, samples), c)
-    doubt = c["ambiguous_share"] * np.array([candidates[i].ambiguous for i in layers])
     moved = np.zeros(len(candidates))
-    moved[list(layers)] = decision.probabilities[UNKNOWN] * listed * (1 - doubt) * of_sets / of_sets.sum()
-    shares = _shares(plain, candidates, moved)
+    moved[list(layers)] = decision.probabilities[UNKNOWN] * listed * of_sets / of_sets.sum()
+    shares, moved = _without_doubt(plain, candidates, moved, mended or {}, c["ambiguous_share"])
     probabilities = {n: p + shares.get(n, 0.0) for n, p in decision.probabilities.items()}
     probabilities[UNKNOWN] = decision.probabilities[UNKNOWN] - float(moved.sum())
     return _judged(candidates, decision.sets + moved, probabilities, c)
+
+
+def _without_doubt(
+    plain: Candidate,
+    candidates: Sequence[Candidate],
+    p: np.ndarray,
+    mended: Mapping[int, frozenset[str]],
+    doubt: float,
+) -> tuple[dict[str, float], np.ndarray]:
+    """Return `_shares` less the ``doubt`` about ambiguous and mended effects, and those of each set together."""
+    shares: dict[str, float] = {}
+    kept = np.zeros(len(candidates))
+    for i, candidate in enumerate(candidates):
+        for name, part in _shares(plain, candidates, np.where(np.arange(len(p)) == i, p, 0.0)).items():
+            doubted = candidate.ambiguous or name in mended.get(i, frozenset())
+            won = part * (1 - doubt) if doubted else part
+            shares[name] = shares.get(name, 0.0) + won
+            kept[i] += won
+    return shares, kept
 
 
 def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:

@@ -9,17 +9,35 @@ from real2sim.diagnosis.free_form import AnyFamily, Law, Library
 from real2sim.diagnosis.law import least_family, named_family
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
-from real2sim.effects.catalogue import EFFECTS, Effect, are_confusable
+from real2sim.effects.catalogue import EFFECTS, Effect, Placed, are_confusable
 
 
-def is_kin_of(law: Law, named: Hypothesis, library: Library, pair: Pair, main_share: float) -> bool:
-    """Return whether a law is a named effect with another equation, by the kind that it has in the main.
+def said_of(law: Law, library: Library, pair: Pair, main_share: float) -> Mapping[str, Any]:
+    """Return what is said of the first family of a law, by the kind that it has in the main.
 
     A damping that depends on the place too, most of which the rate alone tells, is of the kind of dry friction;
     ``main_share`` is `diagnosis.free_form.main_share`.
     """
-    family, x = law.families[0], law.first_coefficients
-    return is_kin(law, named, least_family(family, x, library, pair, main_share))
+    return least_family(law.families[0], law.first_coefficients, library, pair, main_share)
+
+
+def is_kin_of(law: Law, named: Hypothesis, library: Library, pair: Pair, main_share: float) -> bool:
+    """Return whether a law is a named effect with another equation (`is_kin`, `said_of`)."""
+    return is_kin(law, named, said_of(law, library, pair, main_share))
+
+
+def mended_by(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -> frozenset[str]:
+    """Return the names of a set's effects that a law on top of the set may only give another equation.
+
+    Those that it is kin of, and those on an axis of a free history, which can stand for every law of that axis.
+    ``told`` as of `is_kin`.
+    """
+    about = told or named_family(law.families[0])
+    return frozenset(
+        p.effect.name
+        for p in named.effects
+        if _is_kin(law, p, about) or (law.is_free and _share_an_axis(p, about))
+    )
 
 
 def is_kin(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -> bool:
@@ -28,14 +46,20 @@ def is_kin(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -
     Or of an effect of another stage that it cannot be told from: what comes in by the measurement looks like a force.
     ``told`` is what is said of that family in its place (`law.least_family`).
     """
+    about = told or named_family(law.families[0])
+    return any(_is_kin(law, placed, about) for placed in named.effects)
+
+
+def _is_kin(law: Law, placed: Placed, told: Mapping[str, Any]) -> bool:
     family = law.families[0]
-    about = told or named_family(family)
-    kinds, axes = {family.kind, about["kind"]}, set(about["axes"])
-    return any(
-        _holds(kinds, family, e) and (not p.axes or not axes or bool(set(p.axes) & axes))
-        for p in named.effects
-        for e in (p.effect, *_alike_elsewhere(p.effect))
-    )
+    kinds = {family.kind, told["kind"]}
+    effects = (placed.effect, *_alike_elsewhere(placed.effect))
+    return _share_an_axis(placed, told) and any(_holds(kinds, family, e) for e in effects)
+
+
+def _share_an_axis(placed: Placed, told: Mapping[str, Any]) -> bool:
+    axes = set(told["axes"])
+    return not placed.axes or not axes or bool(set(placed.axes) & axes)
 
 
 def _holds(kinds: set[str], family: AnyFamily, effect: Effect) -> bool:

@@ -4,6 +4,10 @@ Real machines have several layers: friction that a name fits, and below it a for
 temperature, on nothing that a catalogue holds. That the best set leaves much says only that something is not listed.
 Whether its effects act too is asked here: a measured law is fitted on top of the set, and both together are compared
 with measured laws alone, by their evidence on all trials.
+
+A law on top that has the kind and place of a named effect may be no second layer, but that effect with another
+equation. A wrong name that is mended explains as much as the right one, so such a name stands for laws without a name
+as often as for itself.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from real2sim.diagnosis.decide import UNKNOWN, Candidate, Decision, with_layers
 from real2sim.diagnosis.free_form import Law, Measured
-from real2sim.diagnosis.kin import is_kin_of
+from real2sim.diagnosis.kin import is_kin_of, mended_by, said_of
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Search
 from real2sim.diagnosis.trials import Found, candidates_of
@@ -56,6 +60,7 @@ def layered(
     ]
     beside: dict[int, Law] = {}
     on_top: dict[int, Candidate] = {}
+    mended: dict[int, frozenset[str]] = {}
     for index in _worth_a_layer(found, decision, options):
         own = found.attribution.hypotheses[index]
         if _only_mends(sets[index], own, found, measured, options):
@@ -73,9 +78,12 @@ def layered(
         if tried:
             best = min(range(len(tried)), key=lambda i: told[i].deviance)
             beside[index], on_top[index] = tried[best], told[best]
+            told_of_it = said_of(tried[best], measured.library, found.pair, main_share)
+            mended[index] = mended_by(tried[best], own, told_of_it)
             kind = tried[best].families[0].kind
             progress(f"{own.key} with a {kind} law on top: deviance {told[best].deviance:.0f}")
-    decision = with_layers(decision, sets, plain, on_top, alone, found.samples, options["calibration"])
+    c = options["calibration"]
+    decision = with_layers(decision, sets, plain, on_top, alone, found.samples, c, mended)
     return decision, Layers(measured, beside)
 
 

@@ -62,7 +62,9 @@ def main() -> None:
         sys.exit(f"{options.score}: the checkout has changed files:\n{changed}\nScore a clean clone.")
     score = read_json(options.score, ("cases", "failed", "targets"))
     suite = read_yaml(options.config)
-    date = datetime.date.fromtimestamp(options.score.stat().st_mtime).isoformat()
+    # to the minute: of two suites of one day, the report has to know which one is the later
+    scored = datetime.datetime.fromtimestamp(options.score.stat().st_mtime)
+    date = scored.isoformat(" ", "minutes")
     made = record(score, suite, git(folder, "rev-parse", "--short", "HEAD"), date, options.note)
     path = options.out / f"{suite['name']}-{suite['seed']}.json"
     write_json(path, made)

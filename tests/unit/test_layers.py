@@ -23,7 +23,7 @@ def _after(constants, on_top: float, alone: float, sets=(COULOMB,)):
     assert decision.verdict == UNKNOWN
     layer = Candidate(sets[0].names, (on_top / 2, on_top / 2))
     law = Candidate(("damping by coordinate",), (alone / 2, alone / 2), unlisted=True)
-    return with_layers(decision, list(sets), PLAIN, {0: layer}, [law], SAMPLES, constants)
+    return with_layers(decision, list(sets), PLAIN, {0: layer}, [law], SAMPLES, constants, {})
 
 
 def test_an_effect_that_a_law_alone_cannot_replace_is_named(constants):
@@ -58,7 +58,7 @@ def test_a_name_that_the_law_gives_another_equation_keeps_its_doubt(constants):
     after = with_layers(
         decision, [COULOMB], PLAIN, {0: layer}, [law], SAMPLES, constants, {0: frozenset(COULOMB.names)}
     )
-    sure = with_layers(decision, [COULOMB], PLAIN, {0: layer}, [law], SAMPLES, constants)
+    sure = with_layers(decision, [COULOMB], PLAIN, {0: layer}, [law], SAMPLES, constants, {})
     before, lost = decision.probabilities, sure.probabilities[UNKNOWN]
     expected = lost + constants["ambiguous_share"] * (before[UNKNOWN] - lost)
     assert after.probabilities[UNKNOWN] == pytest.approx(expected)
@@ -76,7 +76,7 @@ def test_an_effect_beside_the_mended_one_wins_all(constants):
     after = with_layers(
         decision, sets, PLAIN, {2: layer}, [law], SAMPLES, constants, {2: frozenset({"slack"})}
     )
-    sure = with_layers(decision, sets, PLAIN, {2: layer}, [law], SAMPLES, constants)
+    sure = with_layers(decision, sets, PLAIN, {2: layer}, [law], SAMPLES, constants, {})
     won = {n: sure.probabilities[n] - decision.probabilities[n] for n in both.names}
     still = {n: after.probabilities[n] - decision.probabilities[n] for n in both.names}
     assert still["coulomb"] == pytest.approx(won["coulomb"])
@@ -86,5 +86,5 @@ def test_an_effect_beside_the_mended_one_wins_all(constants):
 
 def test_nothing_changes_without_a_law_on_top(constants):
     decision = decide(PLAIN, [COULOMB], SAMPLES, constants)
-    assert with_layers(decision, [COULOMB], PLAIN, {}, [], SAMPLES, constants) is decision
+    assert with_layers(decision, [COULOMB], PLAIN, {}, [], SAMPLES, constants, {}) is decision
     assert np.isclose(sum(decision.probabilities.values()), 1.0)

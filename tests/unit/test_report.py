@@ -228,16 +228,10 @@ def test_the_front_answers_the_question_of_the_study():
         {"claim": "cause, top-1, rho >= 0.2", "value": 0.92, "n": 38},
         {"claim": "false alarm on null", "value": None, "n": 0},
     ]
-    old = {"date": "2026-01-01", "suite": "a", "seed": 9, "claims": [claims[0] | {"value": 0.1}]}
-    # of one day, the higher seed is the fresher one
-    before = {"date": "2026-11-26", "suite": "b", "seed": 1, "claims": [claims[0] | {"value": 0.5}]}
-    fresh = {"date": "2026-11-26", "suite": "b", "seed": 2, "claims": claims}
-    later = {
-        "date": "2026-11-27",
-        "suite": "c",
-        "seed": 3,
-        "claims": [{"claim": "other", "value": 1.0, "n": 3}],
-    }
+    old = {"date": "2026-01-01", "suite": "a", "claims": [claims[0] | {"value": 0.1}]}
+    before = {"date": "2026-11-26 08:59", "suite": "b", "claims": [claims[0] | {"value": 0.5}]}
+    fresh = {"date": "2026-11-26 10:05", "suite": "b", "claims": claims}
+    later = {"date": "2026-11-27", "suite": "c", "claims": [{"claim": "other", "value": 1.0, "n": 3}]}
     text = front([first, second], [before, old, fresh, later])
     assert "slack: everyone." in text
     assert "interface law (the strap): everyone." in text

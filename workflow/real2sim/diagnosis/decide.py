@@ -278,7 +278,7 @@ def with_layers(
     alone: Sequence[Candidate],
     samples: tuple[int, ...],
     calibration: DiagnosisCalibrationSettings,
-    mended: Mapping[int, frozenset[str]] | None = None,
+    mended: Mapping[int, frozenset[str]],
 ) -> Decision:
     """Share out the probability of `unknown` between laws without a name and listed sets with such a law beside them.
 
@@ -317,7 +317,7 @@ def with_layers(
     listed /= 1 + _odds_of_unlisted(left / _gap(plain, samples), c)
     moved = np.zeros(len(candidates))
     moved[list(layers)] = decision.probabilities[UNKNOWN] * listed * of_sets / of_sets.sum()
-    shares, moved = _without_doubt(plain, candidates, moved, mended or {}, c["ambiguous_share"])
+    shares, moved = _without_doubt(plain, candidates, moved, mended, c["ambiguous_share"])
     probabilities = {n: p + shares.get(n, 0.0) for n, p in decision.probabilities.items()}
     probabilities[UNKNOWN] = decision.probabilities[UNKNOWN] - float(moved.sum())
     return _judged(candidates, decision.sets + moved, probabilities, c)

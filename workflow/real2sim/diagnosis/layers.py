@@ -78,8 +78,8 @@ def layered(
         if tried:
             best = min(range(len(tried)), key=lambda i: told[i].deviance)
             beside[index], on_top[index] = tried[best], told[best]
-            told_of_it = said_of(tried[best], measured.library, found.pair, main_share)
-            mended[index] = mended_by(tried[best], own, told_of_it)
+            told_of_law = said_of(tried[best], measured.library, found.pair, main_share)
+            mended[index] = mended_by(tried[best], own, told_of_law)
             kind = tried[best].families[0].kind
             progress(f"{own.key} with a {kind} law on top: deviance {told[best].deviance:.0f}")
     c = options["calibration"]

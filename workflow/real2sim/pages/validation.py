@@ -33,8 +33,8 @@ FIRST = {
 
 
 def latest_first(records: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return records of scored suites, the latest one first; of one day, that of the higher seed: fresh seeds go up."""
-    return sorted(records, key=lambda r: (str(r["date"]), str(r["suite"]), r["seed"]), reverse=True)
+    """Return records of scored suites, the latest one first."""
+    return sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
 
 
 def latest_claims(records: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
 from real2sim.effects.chains import Chains, Context
+from real2sim.geometry import rotation_xyz
 
-# Newton iterations in which the bone's angles are found whose skin shows the measured ones
-_BONE_ROUNDS = 6
+# Most Newton iterations in which the bone's angles are found whose skin shows the measured ones, and the correction
+# [rad] after which there is none: far below what a marker shows
+_BONE_ROUNDS, _FOUND = 6, 1e-12
 
 
 def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
@@ -20,12 +22,15 @@ def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.nd
     # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
     start = context.pelvis_rotation[0]
     shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
-    seen = Rotation.from_matrix(start.T @ context.pelvis_rotation)
+    seen = start.T @ context.pelvis_rotation
     angles, slope = np.zeros((len(context.pelvis_rotation), 3)), np.eye(3) + turn
     for _ in range(_BONE_ROUNDS):
-        beyond = (_from_cardan(angles).inv() * seen).as_rotvec() - angles @ turn.T
-        angles = angles + np.linalg.solve(slope, beyond.T).T
-    rotation = start @ _from_cardan(angles).as_matrix()
+        rest = Rotation.from_matrix(_from_cardan(angles).swapaxes(1, 2) @ seen).as_rotvec() - angles @ turn.T
+        correction = np.linalg.solve(slope, rest.T).T
+        angles = angles + correction
+        if np.abs(correction).max() < _FOUND:
+            break
+    rotation = start @ _from_cardan(angles)
     return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
 
 
@@ -45,9 +50,10 @@ def wobbling_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, n
     return soft_tissue(values[:18], replace(context, pelvis_rotation=rotation, pelvis_position=bone[:, :3]))
 
 
-def _from_cardan(angles: np.ndarray) -> Rotation:
-    """Return rotations R_z R_y R_x of Cardan angles (n, 3) about x, y, z."""
-    return Rotation.from_euler("ZYX", angles[:, ::-1])
+def _from_cardan(angles: np.ndarray) -> np.ndarray:
+    """Return rotations R_z R_y R_x (n, 3, 3) of Cardan angles (n, 3) [rad] about x, y, z."""
+    # the inverse turns back in the other order
+    return rotation_xyz(-angles).swapaxes(1, 2)
 
 
 _SKIN = (

@@ -23,12 +23,23 @@ CONFIGURED = "configured"
 
 
 class Simulation(Protocol):
-    """Many simulations of one trial with some effects, in one call."""
+    """Many simulations of one trial with some effects, in one call.
+
+    ``alone``: what the planned forces of the last `run_freely` were computed from.
+    """
+
+    alone: Context
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate parameters (m, p) with searched numbers (m, q) of each effect.
 
         Returns what is observed (m, n, ...) and the machine's joints (m, n, j); NaN where a simulation failed.
+        """
+
+    def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """As `run_effects` of one point (1, p), forces planned from the interface's motion following the simulated one.
+
+        NaN where no motion agrees with the forces that are planned from it.
         """
 
     def linearised(self) -> ForceResponse | None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from real2sim.effects.families import (
     rhythm,
     with_rhythm,
 )
+from real2sim.effects.free_run import feed_back
 from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import Tangent
 from real2sim.memory import give_back
@@ -54,6 +55,28 @@ _PER_TURN = 4
 _CHUNK = 96
 
 AnyFamily = Family | Displacement
+_Made = TypeVar("_Made")
+
+
+class _ByPath(Generic[_Made]):
+    """Store of what is made of a path of the interface: of the trials' paths all, of any other path the latest."""
+
+    def __init__(self, trials: Sequence[Context]):
+        self._trials = trials
+        self._of_trials: dict[tuple[int, int], _Made] = {}
+        self._latest: tuple[np.ndarray, int, _Made] | None = None
+
+    def get(self, context: Context, make: Callable[[], _Made]) -> _Made:
+        """Return what is known of the path and the steps of a context, made where nothing is."""
+        path, steps = context.coordinates, len(context.step_time_s)
+        for i, trial in enumerate(self._trials):
+            if trial.coordinates is path:
+                if (i, steps) not in self._of_trials:
+                    self._of_trials[i, steps] = make()
+                return self._of_trials[i, steps]
+        if self._latest is None or self._latest[0] is not path or self._latest[1] != steps:
+            self._latest = path, steps, make()
+        return self._latest[2]
 
 
 class Library:
@@ -63,7 +86,7 @@ class Library:
         system, scales = pair.system, pair.train.scales
         self.system, self._scales, self._band = system, scales, band_share * system.band_hz
         self.contexts = (pair.train.context, pair.held_out.context)
-        self._known: dict[int, tuple[np.ndarray, dict[str, Variable], dict[str, np.ndarray]]] = {}
+        self._known = _ByPath[tuple[dict[str, Variable], dict[str, np.ndarray]]](self.contexts)
         self.template: dict[str, Variable] = {}
         own = self.variables(pair.train.context)
         self.template = own
@@ -96,13 +119,12 @@ class Library:
 
     def _of(self, context: Context) -> tuple[dict[str, Variable], dict[str, np.ndarray]]:
         """Variables of a trial, and what has been made of them by the name of the term."""
-        path = context.coordinates
-        if id(path) not in self._known:
-            scales = self._scales
-            made = families.variables(context, self.system, scales.q, scales.v, self._band, self.template)
-            # the path is held too, or another one could take its place in memory
-            self._known[id(path)] = path, made, {}
-        return self._known[id(path)][1:]
+        scales = self._scales
+
+        def made() -> tuple[dict[str, Variable], dict[str, np.ndarray]]:
+            return families.variables(context, self.system, scales.q, scales.v, self._band, self.template), {}
+
+        return self._known.get(context, made)
 
     def signals(self, terms: Iterable[Term], context: Context) -> np.ndarray:
         """Return forces (p, n) of basis functions at the samples, in units of their joint's large force."""
@@ -139,20 +161,20 @@ class Library:
     def _forced(self, family: Family, scale: float) -> Effect:
         rows = family.terms
         joints = tuple(dict.fromkeys(t.joint for row in rows for t in row))
-        planned: dict[tuple[int, int], np.ndarray] = {}
+        planned = _ByPath[np.ndarray](self.contexts)
 
         def plan(
             values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance
         ) -> np.ndarray:
-            key = id(context.coordinates), len(context.step_time_s)
-            if key not in planned:
+            def made() -> np.ndarray:
                 out = np.zeros((len(rows), len(context.step_time_s), len(joints)))
                 for i, row in enumerate(rows):
                     for term, force in zip(row, self.signals(row, context), strict=True):
                         steps = np.interp(context.step_time_s, context.time_s, force)
                         out[i, :, joints.index(term.joint)] += steps * self.force[term.joint]
-                planned[key] = out
-            return np.asarray(np.tensordot(values, planned[key], axes=1))
+                return out
+
+            return np.asarray(np.tensordot(values, planned.get(context, made), axes=1))
 
         trials = ("fitted", "held out") if family.each_trial else ("",)
         coefficients = tuple(
@@ -176,7 +198,7 @@ class Library:
             separating_trial="a wider range of what it depends on",
             at_rest=AtRest((0.0,) * len(coefficients)),
             scope="whole",
-            plant=FamilyForce(plan, joints),
+            plant=FamilyForce(plan, joints, feeds_back=family.feeds_back),
         )
 
     def is_turn(self, joint: str) -> bool:
@@ -556,18 +578,21 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     z, everything = hypothesis.z, np.arange(len(hypothesis.z))
     train = JointResiduals(pair.train, effects, system, coarse=True)
     held = JointResiduals(pair.held_out, effects, system, coarse=True)
-    r, jac = train.with_jacobian(z, everything)
+    r_0, jac = train.with_jacobian(z, everything)
     r_h, jac_h = held.with_jacobian(z, everything)
     m = pair.held_out.rows
-    r, jac = np.concatenate([r, r_h[:m]]), np.vstack([jac, jac_h[:m]])
+    r, jac = np.concatenate([r_0, r_h[:m]]), np.vstack([jac, jac_h[:m]])
     a = jac.T @ jac
     a[np.diag_indices_from(a)] += 1e-9
     lower = np.maximum(train.lower - z, -longest)
     upper = np.minimum(train.upper - z, longest)
+    # a force that follows the simulated motion leaves more than one that was planned from the recorded one
+    freely = sum(hypothesis.chi2) - float(r_0[: pair.train.rows] @ r_0[: pair.train.rows] + r_h[:m] @ r_h[:m])
     _, left = solved(a, jac.T @ r, lower, upper, float(r @ r))
     n = len(hypothesis.base)
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
+    left += freely if feed_back(effects) else 0.0
     return float(-0.5 * left - 0.5 * np.linalg.slogdet(a)[1] + prior.sum())
 
 

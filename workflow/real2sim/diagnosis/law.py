@@ -13,8 +13,11 @@ import numpy as np
 
 from real2sim.diagnosis.free_form import AnyFamily, Law, Library
 from real2sim.diagnosis.intervals import covariance_of
+from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
+from real2sim.effects.chains import Context
 from real2sim.effects.families import Family, Term, Variable, times
+from real2sim.effects.free_run import feed_back
 
 # Points of a curve over the visited range
 _POINTS = 41
@@ -88,11 +91,12 @@ def size(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
 def as_model(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
     """Return what makes the plant with the law again: parameters, and its forces on the fitted trial [N, Nm].
 
-    None where something that it holds is no force. ``forces`` (j, n) are those on ``joints`` at ``time_s``.
+    None where something that it holds is no force. ``forces`` (j, n) are those on ``joints`` at ``time_s``, as the
+    simulation with the law by itself has them.
     """
     if not all(isinstance(family, Family) for family in law.families):
         return None
-    context = pair.train.context
+    context = _alone(pair, law.hypothesis)
     forces: dict[str, np.ndarray] = {}
     for family, x in zip(law.families, law.coefficients, strict=True):
         assert isinstance(family, Family)
@@ -111,6 +115,15 @@ def as_model(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
         "time_s": context.time_s.tolist(),
         "forces": [force.tolist() for force in forces.values()],
     }
+
+
+def _alone(pair: Pair, hypothesis: Hypothesis) -> Context:
+    """Return what planned forces are computed from in a simulation of the fitted trial by itself."""
+    if not feed_back(hypothesis.effects):
+        return pair.train.context
+    replay = pair.train.replay(list(hypothesis.effects), 1)
+    replay.run_freely(pair.system.values(hypothesis.base)[None], [x[None] for x in hypothesis.split()])
+    return replay.alone
 
 
 def named_family(family: AnyFamily) -> dict[str, Any]:

@@ -8,10 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.evidence import Evidence, Simulation
 from real2sim.diagnosis.sensors import by_sensor
 from real2sim.effects.base import InterfaceImpedance
 from real2sim.effects.catalogue import Placed
+from real2sim.effects.free_run import feed_back
 from real2sim.inference import least_squares
 from real2sim.recording.skin import Skin
 from real2sim.system.description import System
@@ -79,6 +80,13 @@ def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> li
     return [part[0] for part in parts] if squeeze else parts
 
 
+def run_alone(
+    replay: Simulation, effects: Sequence[Placed], parameters: np.ndarray, x: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `Simulation.run_effects` of one point (1, n), without anything of the interface's recorded motion."""
+    return (replay.run_freely if feed_back(effects) else replay.run_effects)(parameters, x)
+
+
 class PlainResiduals(least_squares.Residuals):
     """Residuals of the plain cost of a trial in the system's searched parameters."""
 
@@ -131,9 +139,11 @@ class JointResiduals(least_squares.Residuals):
         return np.concatenate([self._some(z[i : i + BATCH]) for i in range(0, len(z), BATCH)])
 
     def _run(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._replay.run_effects(
-            self._system.values(z[:, : self._n]), split(self.effects, z[:, self._n :])
-        )
+        return self._replay.run_effects(*self._numbers(z))
+
+    def _numbers(self, z: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Parameters (m, n) [SI] of the system and searched numbers (m, p) of each effect of points (m, n + p)."""
+        return self._system.values(z[:, : self._n]), split(self.effects, z[:, self._n :])
 
     def _some(self, z: np.ndarray) -> np.ndarray:
         return np.hstack([self._evidence.whitened(*self._run(z)), self._beside_data(z)])
@@ -262,10 +272,11 @@ class JointResiduals(least_squares.Residuals):
     def judged(self, z: np.ndarray) -> tuple[tuple[float, ...], float]:
         """Sum of squares of the data's residuals alone by sensor, and J, at a point (n + p,).
 
-        Ways of the pelvis' markers that these do not show count as residuals of the first sensor, the markers.
+        Ways of the pelvis' markers that these do not show count as residuals of the first sensor, the markers. Forces
+        that depend on the interface's motion follow the simulated one.
         """
         self.evaluations += 1
-        paths, joints = self._run(z[None])
+        paths, joints = run_alone(self._replay, self.effects, *self._numbers(z[None]))
         left = by_sensor(self._evidence.whitened(paths, joints), self._evidence.sensors.values())[0]
         for placed, x in zip(self.effects, split(self.effects, z[None, self._n :]), strict=True):
             skin, ways = self._ways(placed, x)

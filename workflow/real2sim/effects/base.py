@@ -180,6 +180,8 @@ class Mechanism:
         Class of the controller law that answers, between windows of the run, what the interface does.
     linear
         All it does is a planned force that is linear in the values and depends on measurements alone.
+    feeds_back
+        The planned force depends on the interface's own motion: a simulation by itself plans it from what it simulates.
     kinds
         Kinds of the free-form families (`real2sim.effects.families`) that its force is a special case of; empty where
         no family holds it.
@@ -196,6 +198,7 @@ class Mechanism:
     acts_in_neutral: bool = False
     law: type[Law] | None = None
     linear: bool = False
+    feeds_back: bool = False
     kinds: tuple[str, ...] = ()
 
     def build(self, spec: mujoco.MjSpec, where: Where) -> None:

@@ -322,6 +322,11 @@ class Family:
         return self.each_trial and self.kind != "rhythm"
 
     @property
+    def feeds_back(self) -> bool:
+        """Return whether it depends on the motion of what it moves: on more than time and the driven segment."""
+        return any(name not in (*POSTURE, "time") for name in self.depends_on)
+
+    @property
     def key(self) -> str:
         """Name in progress lines and tables."""
         of = f" of {', '.join(self.depends_on)}" if self.depends_on else ""

@@ -65,9 +65,19 @@ class PlannedForce(DrivenForce):
 
 
 class FamilyForce(PlannedForce):
-    """A planned force that is linear in its values and depends on measurements alone."""
+    """A planned force that is linear in its values and depends on measurements alone; ``feeds_back`` as there."""
 
     linear = True
+
+    def __init__(
+        self,
+        plan: Callable[..., np.ndarray],
+        joints: tuple[str, ...] | None = None,
+        *,
+        feeds_back: bool = False,
+    ):
+        super().__init__(plan, joints)
+        self.feeds_back = feeds_back
 
 
 class StandingForce(PlannedForce):

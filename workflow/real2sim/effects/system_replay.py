@@ -10,6 +10,7 @@ import numpy as np
 
 from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context
+from real2sim.effects.free_run import Run, feed_back, free_run, with_motion
 from real2sim.effects.replay import by_axis
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.errors import InputError
@@ -60,6 +61,11 @@ class Channels:
     def observed(self) -> int:
         """Number of observed channels: three a marker, then the outputs."""
         return 3 * self.markers + len(self.outputs)
+
+    @property
+    def columns(self) -> tuple[slice, slice]:
+        """Columns of the sensor data that are observed, and those of the log."""
+        return slice(self.observed), slice(self.observed, self.observed + len(self.logged))
 
 
 def supports(placed: Placed) -> bool:
@@ -117,6 +123,8 @@ class SystemReplay:
         # whether simulations of equal parameters differ by command or start
         self._own_commands = False
         self._chains = [i for i, p in enumerate(self.effects) if p.effect.chains.input is not None]
+        # what the last call's sensors showed, and what the planned forces of the last free run were computed from
+        self._sensed, self.alone = np.empty((0, self.nstep, 0)), context
 
     def _sense(self, spec: mujoco.MjSpec) -> Channels:
         """Add sensors of markers, outputs and the machine's log."""
@@ -138,6 +146,8 @@ class SystemReplay:
         logged = tuple(j.name for j in system.machine if j.logged)
         for name in logged:
             _sensor(spec, f"log_{name}", kinds["position"], joint, shown.get(name, name))
+        for axis in system.axes if feed_back(self.effects) else ():
+            _sensor(spec, f"axis_{axis.joint}", kinds["position"], joint, axis.joint)
         return Channels(len(sites), tuple(o.column for o in system.outputs), logged)
 
     def _start_state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -199,10 +209,31 @@ class SystemReplay:
             first, which = simulations(self.effects, parameters, values)
         impedance = self._impedance(parameters[first])
         out = self._simulate(parameters[first], impedance, [v[first] for v in values])
-        n, stride = self.channels.observed, self._setup.stride
-        paths, logs = out[:, ::stride, :n], out[:, ::stride, n:]
+        self._sensed = out
+        stride, (observed, logged) = self._setup.stride, self.channels.columns
+        paths, logs = out[:, ::stride, observed], out[:, ::stride, logged]
         self._unchained: Unchained = paths[0], logs[0], [v[:1] for v in values]
         return chained(self.effects, paths[which], logs[which], values, self._context)
+
+    def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """As `run_effects` of one point (1, p), planned forces following the simulated motion: see `free_run`.
+
+        NaN where no motion is found that agrees with the forces that are planned from it.
+        """
+        recorded, stride = self._context, self._setup.stride
+        columns = [self.model.sensor(f"axis_{axis.joint}").adr[0] for axis in self._setup.system.axes]
+
+        def run(numbers: Sequence[np.ndarray], context: Context) -> Run:
+            self._context = context
+            try:
+                paths, logs = self.run_effects(parameters, numbers)
+            finally:
+                self._context = recorded
+            return Run(paths, logs, self._sensed[0, ::stride][:, columns], context)
+
+        found = free_run(run, recorded, with_motion, self.effects, x, self._scales.q)
+        self.alone = found.context
+        return found.paths, found.joints
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
@@ -249,8 +280,8 @@ class SystemReplay:
         """
         placed = self.effects[effect]
         sensors = linear.sensors(forces, placed.effect.plant.columns(self.model, placed.where))
-        n = self.channels.observed
-        moved = sensors[:, :, :n], sensors[:, :, n:]
+        observed, logged = self.channels.columns
+        moved = sensors[:, :, observed], sensors[:, :, logged]
         return chained_slopes(self.effects, self._unchained, moved, self._context)
 
     def as_simulated(self) -> Simulated:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Placed, Where
+from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Where
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.free_run import settled, with_strap_motion
 from real2sim.effects.planned import FamilyForce
@@ -83,24 +85,37 @@ def moving_strap():
     return context, rest_rotation, rest_position
 
 
-def _spring() -> Placed:
-    """A spring across the strap whose force is planned from the coordinate (N per metre: its one number)."""
-
-    def plan(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
-        q = np.interp(context.step_time_s, context.time_s, context.coordinates[:, 1])
-        return -values[:, :1, None] * q[:, None]
-
+def _planned(name: str, plan: Callable[[Context], np.ndarray], *, feeds_back: bool) -> Placed:
+    """A force (steps,) across the strap, times the one number of the effect."""
     effect = Effect(
-        "spring",
+        name,
         "interface",
-        "F = -k q",
-        (EffectParameter("k", "N/m", -1e4, 1e4, (0.0,)),),
+        "a planned force",
+        (EffectParameter("size", "1", -1e4, 1e4, (0.0,)),),
         separating_trial="none",
         at_rest=AtRest((0.0,)),
         scope="whole",
-        plant=FamilyForce(plan, ("strap_ty",), feeds_back=True),
+        plant=FamilyForce(
+            lambda values, context, where, impedance: values[:, :1, None] * plan(context)[:, None],
+            ("strap_ty",),
+            feeds_back=feeds_back,
+        ),
     )
-    return Placed(effect, Where(STRAP, (), 0, "", "spring"), SCALES)
+    return Placed(effect, Where(STRAP, (), 0, "", name), SCALES)
+
+
+def _spring() -> Placed:
+    """A spring whose force is planned from the coordinate; its number is the stiffness [N/m]."""
+
+    def force(context: Context) -> np.ndarray:
+        return -np.interp(context.step_time_s, context.time_s, context.coordinates[:, 1])
+
+    return _planned("spring", force, feeds_back=True)
+
+
+def _push() -> Placed:
+    """A slow push from outside; its number is the largest force [N]."""
+    return _planned("push", lambda context: np.sin(np.pi * context.step_time_s / 3), feeds_back=False)
 
 
 @pytest.mark.parametrize("added", [800.0, 6000.0])
@@ -125,3 +140,20 @@ def test_a_free_run_knows_nothing_of_the_recorded_motion():
     planned = [replay([_spring()], noise=n).run_effects(PRIOR[None], x)[0] for n in recorded]
     np.testing.assert_allclose(freely[0], freely[1], atol=1e-9)
     assert np.abs(planned[0] - planned[1]).max() > 1e-3
+
+
+def test_a_law_that_repeats_a_push_from_outside_does_nothing_by_itself():
+    """Planned from the recorded motion it explains the push; a person who stands gives it nothing to go by."""
+    still, at = np.zeros((300, 6)), PRIOR[None]
+    pushed = replay([_push(), _spring()], motion=still)
+    recorded, _ = pushed.run_freely(at, [np.array([[30.0]]), np.zeros((1, 1))])
+    q = pushed.alone.coordinates
+    plain, _ = replay([], motion=still).run_effects(at, [])
+    assert np.abs(recorded - plain).max() > 2e-3
+    # the stiffness that makes the push of the motion, with the sign of a law that pushes on
+    push = 30 * np.sin(np.pi * np.arange(300) / 300)
+    law = [np.array([[-(push @ q[:, 1]) / (q[:, 1] @ q[:, 1])]])]
+    planned, _ = replay([_spring()], motion=still, noise=q).run_effects(at, law)
+    freely, _ = replay([_spring()], motion=still, noise=q).run_freely(at, law)
+    assert np.std(planned - recorded) < 0.2 * np.std(recorded - plain)
+    np.testing.assert_allclose(freely, plain, atol=1e-6)

@@ -265,6 +265,13 @@ class JointResiduals(least_squares.Residuals):
         """Simulated interface markers (n, 2, 3) [m, world] at a point (n + p,)."""
         return np.asarray(self._run(z[None])[0][0])
 
+    def alone(self, z: np.ndarray) -> np.ndarray:
+        """Whitened residuals (r,) of the data at a point (n + p,), of a simulation by itself (`run_alone`)."""
+        return np.asarray(self._evidence.whitened(*self._alone(z))[0])
+
+    def _alone(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return run_alone(self._replay, self.effects, *self._numbers(z[None]))
+
     def raw(self, z: np.ndarray) -> np.ndarray:
         """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""
         return self._evidence.raw(*self._run(z[None]))
@@ -276,7 +283,7 @@ class JointResiduals(least_squares.Residuals):
         that depend on the interface's motion follow the simulated one.
         """
         self.evaluations += 1
-        paths, joints = run_alone(self._replay, self.effects, *self._numbers(z[None]))
+        paths, joints = self._alone(z)
         left = by_sensor(self._evidence.whitened(paths, joints), self._evidence.sensors.values())[0]
         for placed, x in zip(self.effects, split(self.effects, z[None, self._n :]), strict=True):
             skin, ways = self._ways(placed, x)

@@ -569,6 +569,14 @@ class Law:
         return self.hypothesis.split()[len(self.hypothesis.effects) - len(self.families) :]
 
 
+def _left_alone(hypothesis: Hypothesis, *trials: JointResiduals) -> float:
+    """Return what the residuals of the data leave of both trials in simulations by themselves."""
+    if any(placed.effect.chains.displacement for placed in hypothesis.effects):
+        # chi-squared also counts ways of the pelvis' markers, which are priors here
+        return sum(float(np.sum(trial.alone(hypothesis.z) ** 2)) for trial in trials)
+    return float(sum(hypothesis.chi2))
+
+
 def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     """Return the Laplace approximation of the ln marginal likelihood of both trials, but for what all have in common.
 
@@ -578,21 +586,22 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     z, everything = hypothesis.z, np.arange(len(hypothesis.z))
     train = JointResiduals(pair.train, effects, system, coarse=True)
     held = JointResiduals(pair.held_out, effects, system, coarse=True)
-    r_0, jac = train.with_jacobian(z, everything)
+    r, jac = train.with_jacobian(z, everything)
     r_h, jac_h = held.with_jacobian(z, everything)
-    m = pair.held_out.rows
-    r, jac = np.concatenate([r_0, r_h[:m]]), np.vstack([jac, jac_h[:m]])
+    k, m = pair.train.rows, pair.held_out.rows
+    planned = float(r[:k] @ r[:k] + r_h[:m] @ r_h[:m])
+    r, jac = np.concatenate([r, r_h[:m]]), np.vstack([jac, jac_h[:m]])
     a = jac.T @ jac
     a[np.diag_indices_from(a)] += 1e-9
     lower = np.maximum(train.lower - z, -longest)
     upper = np.minimum(train.upper - z, longest)
-    # a force that follows the simulated motion leaves more than one that was planned from the recorded one
-    freely = sum(hypothesis.chi2) - float(r_0[: pair.train.rows] @ r_0[: pair.train.rows] + r_h[:m] @ r_h[:m])
     _, left = solved(a, jac.T @ r, lower, upper, float(r @ r))
     n = len(hypothesis.base)
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
-    left += freely if feed_back(effects) else 0.0
+    if feed_back(effects):
+        # a force that follows the simulated motion leaves another rest than one planned from the recorded motion
+        left += _left_alone(hypothesis, train, held) - planned
     return float(-0.5 * left - 0.5 * np.linalg.slogdet(a)[1] + prior.sum())
 
 

@@ -5,8 +5,7 @@
 Clones the commit and HEAD into a temporary folder, lets each write its own phantom and what the jobs need, and then
 runs every job in turns: earlier, now, now, earlier. Told are processor seconds of the job itself, as Snakemake's
 benchmark file says (of ``import`` and ``plan``, of the whole process), and the median ratio of the pairs with its
-range: on a machine that does other things too, single times say little and ratios of neighbours say more. A part of
-docs/speed.md.
+range: on a machine that does other things too, single times say little and ratios of neighbours say more.
 """
 
 from __future__ import annotations

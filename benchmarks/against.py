@@ -70,7 +70,9 @@ def cloned(commit: str, folder: Path) -> str:
     """Check a commit out into a folder and return its short name."""
     git = ("git", "-C", str(folder))
     subprocess.run(["git", "clone", "--quiet", "--shared", str(ROOT), str(folder)], check=True)
-    subprocess.run([*git, "checkout", "--quiet", commit], check=True)
+    found = subprocess.run([*git, "checkout", "--quiet", commit], capture_output=True, text=True, check=False)
+    if found.returncode:
+        sys.exit(f"{commit}: no commit of {ROOT}: {found.stderr.strip()}. `git log --oneline` lists them.")
     return subprocess.run(
         [*git, "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True
     ).stdout.strip()

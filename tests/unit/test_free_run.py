@@ -130,7 +130,7 @@ def test_a_planned_spring_moves_as_a_spring_of_the_plant(added):
     assert moved > 1e-3
     assert np.std(paths - expected) < 0.03 * moved
     # its forces are those of the simulated motion
-    assert np.abs(planned.alone.coordinates - planned._context.coordinates).max() > 1e-3
+    assert np.abs(planned.planned_from.coordinates - planned._context.coordinates).max() > 1e-3
 
 
 def test_a_free_run_knows_nothing_of_the_recorded_motion():
@@ -147,7 +147,7 @@ def test_a_law_that_repeats_a_push_from_outside_does_nothing_by_itself():
     still, at = np.zeros((300, 6)), PRIOR[None]
     pushed = replay([_push(), _spring()], motion=still)
     recorded, _ = pushed.run_freely(at, [np.array([[30.0]]), np.zeros((1, 1))])
-    q = pushed.alone.coordinates
+    q = pushed.planned_from.coordinates
     plain, _ = replay([], motion=still).run_effects(at, [])
     assert np.abs(recorded - plain).max() > 2e-3
     # the stiffness that makes the push of the motion, with the sign of a law that pushes on

@@ -28,7 +28,7 @@ from real2sim.diagnosis.layers import layered
 from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
 from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart, with_law
 from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
-from real2sim.diagnosis.refit import Hypothesis, run_alone
+from real2sim.diagnosis.refit import Hypothesis, run_freely
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Outcome, conclude
 from real2sim.diagnosis.visible import could_have_shown
@@ -350,7 +350,7 @@ def simulate(evidence: Evidence, pair: Pair, hypothesis: Hypothesis) -> np.ndarr
     """Return what a hypothesis makes of a trial's observations, (n, ...)."""
     replay = evidence.replay(list(hypothesis.effects), 1)
     parameters, x = pair.system.values(hypothesis.base)[None], [own[None] for own in hypothesis.split()]
-    return np.asarray(run_alone(replay, hypothesis.effects, parameters, x)[0][0])
+    return np.asarray(run_freely(replay, hypothesis.effects, parameters, x)[0][0])
 
 
 class _Account:

@@ -25,10 +25,10 @@ CONFIGURED = "configured"
 class Simulation(Protocol):
     """Many simulations of one trial with some effects, in one call.
 
-    ``alone``: what the planned forces of the last `run_freely` were computed from.
+    ``planned_from`` is the context that the planned forces of the last free run were computed from.
     """
 
-    alone: Context
+    planned_from: Context
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate parameters (m, p) with searched numbers (m, q) of each effect.
@@ -37,10 +37,7 @@ class Simulation(Protocol):
         """
 
     def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """As `run_effects` of one point (1, p), forces planned from the interface's motion following the simulated one.
-
-        NaN where no motion agrees with the forces that are planned from it.
-        """
+        """As `run_effects` of one point (1, p), planned forces following the simulated motion: see `FreeRuns`."""
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly."""

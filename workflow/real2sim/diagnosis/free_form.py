@@ -569,18 +569,19 @@ class Law:
         return self.hypothesis.split()[len(self.hypothesis.effects) - len(self.families) :]
 
 
-def _left_alone(hypothesis: Hypothesis, *trials: JointResiduals) -> float:
-    """Return what the residuals of the data leave of both trials in simulations by themselves."""
+def _left_freely(hypothesis: Hypothesis, *trials: JointResiduals) -> float:
+    """Return what the residuals of the data leave of both trials in free runs."""
     if any(placed.effect.chains.displacement for placed in hypothesis.effects):
         # chi-squared also counts ways of the pelvis' markers, which are priors here
-        return sum(float(np.sum(trial.alone(hypothesis.z) ** 2)) for trial in trials)
+        return sum(float(np.sum(trial.freely(hypothesis.z) ** 2)) for trial in trials)
     return float(sum(hypothesis.chi2))
 
 
 def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     """Return the Laplace approximation of the ln marginal likelihood of both trials, but for what all have in common.
 
-    A coefficient without a Gaussian prior is taken as likely anywhere within its bounds.
+    A coefficient without a Gaussian prior is taken as likely anywhere within its bounds. What is left is that of free
+    runs, and its curvature that of forces planned from the recorded motion.
     """
     system, effects = pair.system, hypothesis.effects
     z, everything = hypothesis.z, np.arange(len(hypothesis.z))
@@ -600,8 +601,7 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
     if feed_back(effects):
-        # a force that follows the simulated motion leaves another rest than one planned from the recorded motion
-        left += _left_alone(hypothesis, train, held) - planned
+        left += _left_freely(hypothesis, train, held) - planned
     return float(-0.5 * left - 0.5 * np.linalg.slogdet(a)[1] + prior.sum())
 
 
@@ -800,7 +800,7 @@ def measure(
     del known
     laws = [trial.refitted((), s, base) for s in chosen]
     laws = sorted(laws, key=lambda law: -law.gain)
-    for law in laws[:3]:
+    for law in (law for law in laws[:3] if np.isfinite(law.gain)):
         progress(f"{_named(law)}: ln evidence +{law.gain:.0f}")
     laws = _grown_best(laws, screened, trial, options, search_options["grow_share"])
     if laws:

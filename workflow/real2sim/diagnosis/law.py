@@ -92,11 +92,11 @@ def as_model(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
     """Return what makes the plant with the law again: parameters, and its forces on the fitted trial [N, Nm].
 
     None where something that it holds is no force. ``forces`` (j, n) are those on ``joints`` at ``time_s``, as the
-    simulation with the law by itself has them.
+    free run has them.
     """
     if not all(isinstance(family, Family) for family in law.families):
         return None
-    context = _alone(pair, law.hypothesis)
+    context = _planned_from(pair, law.hypothesis)
     forces: dict[str, np.ndarray] = {}
     for family, x in zip(law.families, law.coefficients, strict=True):
         assert isinstance(family, Family)
@@ -117,13 +117,13 @@ def as_model(pair: Pair, law: Law, library: Library) -> dict[str, Any] | None:
     }
 
 
-def _alone(pair: Pair, hypothesis: Hypothesis) -> Context:
-    """Return what planned forces are computed from in a simulation of the fitted trial by itself."""
+def _planned_from(pair: Pair, hypothesis: Hypothesis) -> Context:
+    """Return the context that planned forces are computed from in a free run of the fitted trial."""
     if not feed_back(hypothesis.effects):
         return pair.train.context
     replay = pair.train.replay(list(hypothesis.effects), 1)
     replay.run_freely(pair.system.values(hypothesis.base)[None], [x[None] for x in hypothesis.split()])
-    return replay.alone
+    return replay.planned_from
 
 
 def named_family(family: AnyFamily) -> dict[str, Any]:

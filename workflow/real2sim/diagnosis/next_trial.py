@@ -125,10 +125,10 @@ def _left(
 ) -> float:
     """Standard deviations that the other hypothesis leaves of what the truth makes of a trial; NaN where one fails."""
     n = evidence.rows
-    here = JointResiduals(evidence, truth.effects, pair.system, coarse=True).alone(truth.z)
+    here = JointResiduals(evidence, truth.effects, pair.system, coarse=True).freely(truth.z)
     problem = JointResiduals(evidence, other.effects, pair.system, coarse=True)
     _, jacobian = problem.with_jacobian(other.z, np.arange(len(other.z)))
-    apart, slopes = problem.alone(other.z) - here, jacobian[:n]
+    apart, slopes = problem.freely(other.z) - here, jacobian[:n]
     if not (np.isfinite(apart).all() and np.isfinite(slopes).all()):
         return float("nan")
     lower = np.maximum(problem.lower - other.z, -longest)

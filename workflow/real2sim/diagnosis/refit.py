@@ -80,10 +80,10 @@ def split(effects: Sequence[Placed], x: np.ndarray, squeeze: bool = False) -> li
     return [part[0] for part in parts] if squeeze else parts
 
 
-def run_alone(
+def run_freely(
     replay: Simulation, effects: Sequence[Placed], parameters: np.ndarray, x: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `Simulation.run_effects` of one point (1, n), without anything of the interface's recorded motion."""
+    """As `Simulation.run_effects` of one point (1, n), in a free run where a planned force asks for one."""
     return (replay.run_freely if feed_back(effects) else replay.run_effects)(parameters, x)
 
 
@@ -265,12 +265,12 @@ class JointResiduals(least_squares.Residuals):
         """Simulated interface markers (n, 2, 3) [m, world] at a point (n + p,)."""
         return np.asarray(self._run(z[None])[0][0])
 
-    def alone(self, z: np.ndarray) -> np.ndarray:
-        """Whitened residuals (r,) of the data at a point (n + p,), of a simulation by itself (`run_alone`)."""
-        return np.asarray(self._evidence.whitened(*self._alone(z))[0])
+    def freely(self, z: np.ndarray) -> np.ndarray:
+        """Whitened residuals (r,) of the data at a point (n + p,) in a free run."""
+        return np.asarray(self._evidence.whitened(*self._run_freely(z))[0])
 
-    def _alone(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return run_alone(self._replay, self.effects, *self._numbers(z[None]))
+    def _run_freely(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return run_freely(self._replay, self.effects, *self._numbers(z[None]))
 
     def raw(self, z: np.ndarray) -> np.ndarray:
         """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""
@@ -279,11 +279,11 @@ class JointResiduals(least_squares.Residuals):
     def judged(self, z: np.ndarray) -> tuple[tuple[float, ...], float]:
         """Sum of squares of the data's residuals alone by sensor, and J, at a point (n + p,).
 
-        Ways of the pelvis' markers that these do not show count as residuals of the first sensor, the markers. Forces
-        that depend on the interface's motion follow the simulated one.
+        Ways of the pelvis' markers that these do not show count as residuals of the first sensor, the markers. The
+        simulation is a free run.
         """
         self.evaluations += 1
-        paths, joints = self._alone(z)
+        paths, joints = self._run_freely(z)
         left = by_sensor(self._evidence.whitened(paths, joints), self._evidence.sensors.values())[0]
         for placed, x in zip(self.effects, split(self.effects, z[None, self._n :]), strict=True):
             skin, ways = self._ways(placed, x)

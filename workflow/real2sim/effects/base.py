@@ -181,7 +181,7 @@ class Mechanism:
     linear
         All it does is a planned force that is linear in the values and depends on measurements alone.
     feeds_back
-        The planned force depends on the interface's own motion: a simulation by itself plans it from what it simulates.
+        The planned force depends on the interface's motion: in a free run (`FreeRuns`) it follows the simulated one.
     kinds
         Kinds of the free-form families (`real2sim.effects.families`) that its force is a special case of; empty where
         no family holds it.

@@ -9,12 +9,12 @@ Identification, 2nd ed. 1999, sections 3.2 and 7.2).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from real2sim import signals
-from real2sim.effects.base import Placed
+from real2sim.effects.base import Placed, Scales
 from real2sim.effects.chains import Context
 from real2sim.geometry import rotation_xyz
 
@@ -25,7 +25,7 @@ _MOST, _APART = 20, 1e-3
 
 
 class _NoSimulationError(Exception):
-    """MuJoCo gave up on a simulation."""
+    """MuJoCo gave up on a simulation, or it went to infinity."""
 
 
 def feed_back(effects: Sequence[Placed]) -> bool:
@@ -33,52 +33,58 @@ def feed_back(effects: Sequence[Placed]) -> bool:
     return any(placed.effect.plant.feeds_back for placed in effects)
 
 
-@dataclass(frozen=True)
-class Run:
-    """One simulation: what is observed and the machine's joints, (1, n, ...) each, and the interface's ``motion``.
+class FreeRuns:
+    """The free run of a replay, whose class says how to simulate and how the interface moved.
 
-    The motion (n, axes) [m, rad] is the simulated one; planned forces were computed from ``context``.
+    ``effects``, ``_context`` and ``_scales`` are the replay's. ``planned_from`` is the context that the planned forces
+    of the last free run were computed from.
     """
 
-    paths: np.ndarray
-    joints: np.ndarray
-    motion: np.ndarray
-    context: Context
+    effects: Sequence[Placed]
+    _context: Context
+    _scales: Scales
+    planned_from: Context
 
+    def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate parameters (m, n) with searched numbers (m, p) of each effect; see the replay."""
+        raise NotImplementedError
 
-def free_run(
-    run: Callable[[Sequence[np.ndarray], Context], Run],
-    recorded: Context,
-    move: Callable[[Context, np.ndarray], Context],
-    effects: Sequence[Placed],
-    x: Sequence[np.ndarray],
-    scale: np.ndarray,
-) -> Run:
-    """Return the simulation whose planned forces follow the motion that they lead to, all NaN where there is none.
+    def _motion(self) -> np.ndarray:
+        """Simulated motion (n, axes) [m, rad] of the interface in the last call's first simulation."""
+        raise NotImplementedError
 
-    Parameters
-    ----------
-    run
-        Simulates with searched numbers of each effect and forces planned from a context.
-    recorded
-        Context of the recorded motion.
-    move
-        Returns a context whose interface moves by other coordinates (n, axes) [m, rad].
-    effects, x
-        Effects and their searched numbers (1, p) each.
-    scale
-        Large excursions (axes,) [m, rad].
-    """
-    quiet = [0 * part if p.effect.plant.feeds_back else part for p, part in zip(effects, x, strict=True)]
-    # begun without the law: what was recorded agrees with whatever repeats it
-    start = run(quiet, recorded).motion
-    motion = settled(lambda motion: run(x, move(recorded, motion)).motion, start, scale)
-    found = run(x, recorded if motion is None else move(recorded, motion))
-    if motion is None:
-        return replace(
-            found, paths=np.full_like(found.paths, np.nan), joints=np.full_like(found.joints, np.nan)
-        )
-    return found
+    def _moved(self, recorded: Context, motion: np.ndarray) -> Context:
+        """Context of a trial whose interface moves otherwise, motion (n, axes) [m, rad]."""
+        return with_motion(recorded, motion)
+
+    def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """As `run_effects` of one point (1, n), planned forces following the simulated motion.
+
+        NaN where no motion is found that agrees with the forces that are planned from it.
+        """
+        recorded = self._context
+        without = [
+            0 * part if placed.effect.plant.feeds_back else part
+            for placed, part in zip(self.effects, x, strict=True)
+        ]
+
+        def simulated(motion: np.ndarray) -> np.ndarray:
+            self._context = self._moved(recorded, motion)
+            self.run_effects(parameters, x)
+            return self._motion()
+
+        try:
+            # begun without the law: what was recorded agrees with whatever repeats it
+            self.run_effects(parameters, without)
+            motion = settled(simulated, self._motion(), self._scales.q)
+            self.planned_from = recorded if motion is None else self._moved(recorded, motion)
+            self._context = self.planned_from
+            paths, joints = self.run_effects(parameters, x)
+        finally:
+            self._context = recorded
+        if motion is None:
+            return np.full_like(paths, np.nan), np.full_like(joints, np.nan)
+        return paths, joints
 
 
 def settled(
@@ -99,9 +105,10 @@ def settled(
 
     def apart(motion: np.ndarray) -> np.ndarray:
         there = simulated(motion.reshape(start.shape) * scale)
-        if not np.isfinite(there).all():
+        difference = np.asarray((there / scale).ravel() - motion)
+        if not np.isfinite(difference @ difference):
             raise _NoSimulationError
-        return np.asarray((there / scale).ravel() - motion)
+        return difference
 
     def rms(difference: np.ndarray) -> float:
         return float(np.sqrt(np.mean(np.square(difference))))
@@ -117,7 +124,7 @@ def settled(
             tol_norm=rms,
             line_search=None,
         )
-    except (NoConvergence, _NoSimulationError, np.linalg.LinAlgError, ValueError):
+    except (NoConvergence, _NoSimulationError):
         return None
     return np.asarray(found.reshape(start.shape) * scale)
 

@@ -65,7 +65,10 @@ class PlannedForce(DrivenForce):
 
 
 class FamilyForce(PlannedForce):
-    """A planned force that is linear in its values and depends on measurements alone; ``feeds_back`` as there."""
+    """A planned force that is linear in its values and depends on measurements alone.
+
+    ``feeds_back`` as of `Mechanism`.
+    """
 
     linear = True
 

@@ -15,7 +15,7 @@ from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context, Poses
 from real2sim.effects.controller import Answer
 from real2sim.effects.frames import move_rest
-from real2sim.effects.free_run import Run, feed_back, free_run, with_strap_motion
+from real2sim.effects.free_run import FreeRuns, feed_back, with_strap_motion
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
@@ -60,7 +60,7 @@ class InputBasis:
         return out
 
 
-class EffectReplay(Replay):
+class EffectReplay(FreeRuns, Replay):
     """A `Replay` with some effects, recording the robot's joints beside the interface.
 
     Parameters
@@ -117,8 +117,7 @@ class EffectReplay(Replay):
         self._headings = np.zeros(0)
         self._values: list[np.ndarray] = []
         self.hold([placed.at_rest() for placed in self.effects])
-        # what the planned forces of the last free run were computed from
-        self.alone = context
+        self.planned_from = context
         # whether simulations of equal parameters differ by what they are commanded
         self._own_commands = False
         self._impedance = self._impedance_of(np.empty((0, len(self.system.parameters))))
@@ -314,25 +313,14 @@ class EffectReplay(Replay):
         self._unchained: Unchained = paths[0], joints[0], [v[:1] for v in values]
         return chained(self.effects, paths[which], joints[which], values, self._context)
 
-    def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """As `run_effects` of one point (1, 12), planned forces following the simulated motion: see `free_run`.
-
-        NaN where no motion is found that agrees with the forces that are planned from it.
-        """
-        recorded = self._context
+    def _motion(self) -> np.ndarray:
+        """As of `FreeRuns`: positions of the strap's joints."""
         columns = [self.model.sensor(f"axis_{axis.joint}").adr[0] for axis in self.system.axes]
+        return np.asarray(self._sensors[0, :: self.stride][:, columns])
 
-        def run(numbers: Sequence[np.ndarray], context: Context) -> Run:
-            self._context = context
-            try:
-                paths, joints = self.run_effects(parameters, numbers)
-            finally:
-                self._context = recorded
-            return Run(paths, joints, self._sensors[0, :: self.stride][:, columns], context)
-
-        found = free_run(run, recorded, with_strap_motion, self.effects, x, self._scales.q)
-        self.alone = found.context
-        return found.paths, found.joints
+    def _moved(self, recorded: Context, motion: np.ndarray) -> Context:
+        """As of `FreeRuns`: markers and rotation of the interface move along."""
+        return with_strap_motion(recorded, motion)
 
     def _seen(
         self, paths: np.ndarray, joints: np.ndarray, sensors: np.ndarray, which: np.ndarray

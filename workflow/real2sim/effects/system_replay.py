@@ -10,7 +10,7 @@ import numpy as np
 
 from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context
-from real2sim.effects.free_run import Run, feed_back, free_run, with_motion
+from real2sim.effects.free_run import FreeRuns, feed_back
 from real2sim.effects.replay import by_axis
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.errors import InputError
@@ -77,7 +77,7 @@ def supports(placed: Placed) -> bool:
     return plant.law is None and not plant.acts_in_neutral and chains.observation is None
 
 
-class SystemReplay:
+class SystemReplay(FreeRuns):
     """Simulate one trial of a described system with some effects.
 
     Parameters
@@ -123,8 +123,9 @@ class SystemReplay:
         # whether simulations of equal parameters differ by command or start
         self._own_commands = False
         self._chains = [i for i, p in enumerate(self.effects) if p.effect.chains.input is not None]
-        # what the last call's sensors showed, and what the planned forces of the last free run were computed from
-        self._sensed, self.alone = np.empty((0, self.nstep, 0)), context
+        self.planned_from = context
+        # what the last call's sensors showed
+        self._sensed = np.empty((0, self.nstep, 0))
 
     def _sense(self, spec: mujoco.MjSpec) -> Channels:
         """Add sensors of markers, outputs and the machine's log."""
@@ -215,25 +216,10 @@ class SystemReplay:
         self._unchained: Unchained = paths[0], logs[0], [v[:1] for v in values]
         return chained(self.effects, paths[which], logs[which], values, self._context)
 
-    def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """As `run_effects` of one point (1, p), planned forces following the simulated motion: see `free_run`.
-
-        NaN where no motion is found that agrees with the forces that are planned from it.
-        """
-        recorded, stride = self._context, self._setup.stride
+    def _motion(self) -> np.ndarray:
+        """As of `FreeRuns`: positions of the joints of the axes."""
         columns = [self.model.sensor(f"axis_{axis.joint}").adr[0] for axis in self._setup.system.axes]
-
-        def run(numbers: Sequence[np.ndarray], context: Context) -> Run:
-            self._context = context
-            try:
-                paths, logs = self.run_effects(parameters, numbers)
-            finally:
-                self._context = recorded
-            return Run(paths, logs, self._sensed[0, ::stride][:, columns], context)
-
-        found = free_run(run, recorded, with_motion, self.effects, x, self._scales.q)
-        self.alone = found.context
-        return found.paths, found.joints
+        return np.asarray(self._sensed[0, :: self._setup.stride][:, columns])
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.

@@ -468,6 +468,26 @@ def test_an_answer_without_a_delay_takes_the_strap_to_go_straight_on():
         answer.learn(line[:, first : first + 5])
 
 
+def test_a_late_answer_is_the_same_in_windows_as_long_as_its_delay(monkeypatch):
+    effect = next(e for e in EFFECTS if e.name == "controller_reaction" and not e.form)
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
+    values = [np.array([[0.8, 0.105, 0.03], [-0.5, 0.23, 0.0]])]
+    calls, rollout = [], mujoco.batch.Batch.rollout
+
+    def counted(batch: mujoco.batch.Batch, steps: int, *args, **options):
+        calls.append(steps)
+        return rollout(batch, steps, *args, **options)
+
+    monkeypatch.setattr(mujoco.batch.Batch, "rollout", counted)
+    parameters = np.tile(PRIOR, (2, 1))
+    long, _ = replay([placed], nsim=2).run_effects(parameters, values)
+    in_long = len(calls)
+    monkeypatch.setattr(Answer, "foreseen", 0)
+    short, _ = replay([placed], nsim=2).run_effects(parameters, values)
+    assert len(calls) - in_long > 4 * in_long
+    np.testing.assert_allclose(long, short, atol=1e-9)
+
+
 def test_a_reaction_answers_the_force_of_the_strap_whatever_law_that_has():
     """Slack beside a reaction was never found: the reaction answered a force as if there were none."""
     by_name = {e.name: e for e in EFFECTS if not e.form}

@@ -113,6 +113,11 @@ class Answer:
         self._row = steps * np.arange(len(before))[:, None]
         self._known = 0
 
+    @property
+    def foreseen(self) -> int:
+        """Return the number of steps whose force `plan` knows without extrapolation: those within the least delay."""
+        return int(self._delay.min())
+
     def plan(self, count: int) -> np.ndarray:
         """Return forces (m, count, j) [N, Nm] of the next steps, the input extrapolated linearly."""
         return self._law.force(self._late(self._known, count), keep=False)

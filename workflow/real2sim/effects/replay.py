@@ -23,8 +23,9 @@ from real2sim.system.linear import ForceResponse, Linearised
 from real2sim.system.plant import RestPose, robot_pose_for
 from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 
-# Length of the windows after which a controller that answers the strap is asked again: against windows of one step, an
-# answer without delay of half the force errs by 0.012 mm of 2.4, a smoothed one by 0.003 (0.08 and 0.03 at 0.05 s)
+# Least length of the windows after which a controller that answers the strap is asked again; they are as long as the
+# least delay where that is more, and then exact. Against windows of one step, an answer without delay of half the force
+# errs by 0.012 mm of 2.4, a smoothed one by 0.003 (0.08 and 0.03 at 0.05 s)
 WINDOW_S = 0.02
 # What is recorded meanwhile
 _HEARD = ("sensordata", "qfrc_passive", "qfrc_constraint", "actuator_force")
@@ -419,7 +420,9 @@ class EffectReplay(FreeRuns, Replay):
 
     def _roll_windows(self, answers: dict[int, Answer], last: int, m: int) -> np.ndarray:
         """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
-        batch, count = self._batch, max(round(WINDOW_S / self.model.opt.timestep), 1)
+        batch, least = self._batch, max(round(WINDOW_S / self.model.opt.timestep), 1)
+        # what every controller answers late is known for longer
+        count = max(least, min(answer.foreseen for answer in answers.values()))
         # all simulations need no list, which MuJoCo would check at every window
         ids = None if m == batch.nsim else np.arange(m)
         out: dict[int, dict[str, np.ndarray]] = {}

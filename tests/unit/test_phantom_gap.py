@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.verification.cohort import plan
 from real2sim.verification.cohort import write as cohort
+from real2sim.verification.cohort.gap import Gap
 from real2sim.verification.phantom import exports
+from real2sim.verification.suite.forms import FORMS
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources/robot/drba.xml"
@@ -64,6 +67,18 @@ def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
     # the skin slides under the pelvis markers, and under none of the interface's
     assert np.abs(shown["ASIS_L"] - true["ASIS_L"]).max() > 1e-3
     np.testing.assert_allclose(shown["IF_L"], true["IF_L"], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shift", "too_near"), [(0.02, False), (0.03, True), (-0.008, True), (-0.005, False)]
+)
+def test_a_preload_leaves_the_strap_room_before_its_stops(shift, too_near):
+    gap = Gap.__new__(Gap)
+    stops = np.full(6, -0.014), np.full(6, 0.05)
+    gap._person = SimpleNamespace(stops={9: stops}, operating_level=9)
+    gap._options = {"preload_of_stop": 0.5}
+    others = (FORMS["tilt"], {"angle": 9.0})
+    assert gap._too_near([others, (FORMS["preload"], {"shift": shift * np.eye(6)[2]})]) is too_near
 
 
 @pytest.mark.long

@@ -188,9 +188,20 @@ class Gap:
         return [(c.form, c.form.values(draw, size, about_of(self._p))) for c, draw, size in effects]
 
     def _costs(self, effects: list[Applied]) -> np.ndarray:
-        """J (k,) that the refitted plain model leaves of the first dynamic trial; 0 where nothing can be simulated."""
+        """J (k,) that the refitted plain model leaves of the first dynamic trial.
+
+        0 where nothing can be simulated, and where a preload would take the strap too near to its stops.
+        """
         fits = gaps(self._world, [self._p] * len(effects), effects)
-        return np.array([float(fit.train @ fit.train) if fit.usable else 0.0 for fit in fits])
+        usable = [fit.usable and not self._too_near(some) for fit, some in zip(fits, effects, strict=True)]
+        return np.array([float(f.train @ f.train) if ok else 0.0 for f, ok in zip(fits, usable, strict=True)])
+
+    def _too_near(self, effects: Applied) -> bool:
+        """Return whether a preload takes the strap nearer to a stop than the settings allow."""
+        person, share = self._person, self._options["preload_of_stop"]
+        lower, upper = person.stops[person.operating_level]
+        shifts = [values["shift"] for form, values in effects if form.effect == "preload"]
+        return any(bool(np.any((shift < share * lower) | (shift > share * upper))) for shift in shifts)
 
     def put_into(self, trials: Sequence[Trial]) -> None:
         """Give neutral and dynamic trials their paths with the effects, and what is recorded of them before noise."""

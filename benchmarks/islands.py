@@ -30,7 +30,7 @@ from twin import BODIES, reference_of
 ISLAND = int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 MIDPHASE = int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
 SETTINGS = {"with both": 0, "no islands": ISLAND, "neither": ISLAND | MIDPHASE}
-PEOPLE, SUBSTEPS = 64, 6
+PEOPLE = 64
 
 
 def batch_of(model: mujoco.MjModel, env: WalkEnv, without: int) -> Batch:
@@ -64,10 +64,10 @@ def main() -> None:
         for i, batch in enumerate(batches):
             batch.bind("ctrl")[:] = command
             start = time.process_time()
-            batch.step(nstep=SUBSTEPS)
+            batch.step(nstep=env.substeps)
             row[i] = time.process_time() - start
         env.advance()
-    per_step = 1e6 * np.median(spent, axis=0) / (PEOPLE * SUBSTEPS)
+    per_step = 1e6 * np.median(spent, axis=0) / (PEOPLE * env.substeps)
     ratio = np.median(spent / spent[:, :1], axis=0)
     for name, batch, time_us, share in zip(SETTINGS, batches, per_step, ratio, strict=True):
         off = np.abs(batches[0].bind("qpos") - batch.bind("qpos")).max()

@@ -27,6 +27,7 @@ import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
+from real2sim.study.twin.human import in_training
 from real2sim.study.twin.train import Trainer
 
 from benchmarks.twin import BODIES, reference_of
@@ -66,7 +67,9 @@ def theirs(who: Any, reference: Any, settings: dict, seed: int, steps: int) -> t
         """`WalkEnv` as SB3 wants it; pushes grow as in `Trainer.iterate`."""
 
         def __init__(self) -> None:
-            self.env = WalkEnv(who, settings["human"], reference, o, nsim=n, threads=1, seed=seed)
+            self.env = WalkEnv(
+                who, in_training(settings["human"], o["substeps"]), reference, o, nsim=n, threads=1, seed=seed
+            )
             self.env.sustained = True
             self.env.hold(o["hold"])
             self.lengths = [0.0] * 200

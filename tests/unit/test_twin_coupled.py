@@ -140,16 +140,16 @@ def test_a_stiff_strap_moves_less_and_the_wrench_is_that_of_its_law():
     )
     names = {"soft": straps["soft"], "prior": PRIOR, "stiff": straps["stiff"]}
     walk = _walk([Condition(n, v, 0.9) for n, v in names.items()])
-    recording = walk.run(0.6)
+    recording = walk.run(0.6, stride=1)
     assert recording.alive.all()
     spread = [np.ptp(recording.interface[2 * i : 2 * i + 2, :, 1], axis=1).mean() for i in range(3)]
     assert spread[0] > spread[1] > spread[2]
     # springs and dampers along q, taken at the beginning of a step while q is recorded at its end
     q, f = recording.interface[2:4], recording.wrench[2:4]
     rate = np.gradient(q, recording.time_s, axis=1)
-    expected = -(PRIOR[:6] * q + PRIOR[6:] * rate)
-    error = np.abs(f - expected)[:, 5:-5].max(axis=(0, 1))
-    assert np.all(error < 0.2 * np.abs(expected).max(axis=(0, 1)))
+    expected = -(PRIOR[:6] * q + PRIOR[6:] * rate)[:, :-1]
+    error = np.abs(f[:, 1:] - expected)[:, 5:-5].max(axis=(0, 1))
+    assert np.all(error < 0.15 * np.abs(expected).max(axis=(0, 1)))
 
 
 def test_robot_factors_act_on_their_axis_alone():

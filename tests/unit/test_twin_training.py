@@ -49,6 +49,17 @@ def _still(obs: np.ndarray) -> np.ndarray:
     return np.zeros((len(obs), ACTIONS))
 
 
+def test_a_training_takes_longer_simulation_steps_than_the_examination_and_the_same_control_step():
+    settings = _small()
+    settings["human"] |= {"timestep_s": 0.006, "substeps": 4}
+    settings["training"] |= {"substeps": 3}
+    trainer = Trainer(WHO, reference(), settings, seed=1, threads=1)
+    assert trainer.env.model.opt.timestep == pytest.approx(0.008)
+    examined = trainer._env(2, 0)
+    assert examined.model.opt.timestep == pytest.approx(0.006)
+    assert trainer.env.control_s == pytest.approx(examined.control_s) == pytest.approx(0.024)
+
+
 def test_the_observation_of_a_mirrored_walk_is_the_same():
     rng, r = np.random.default_rng(2), reference()
     phase = rng.uniform(0, 0.5, 6)

@@ -792,6 +792,7 @@ TwinHumanSettings = TypedDict(
     "TwinHumanSettings",
     {
         "timestep_s": float,
+        "substeps": int,
         "contact": TwinHumanContactSettings,
     },
 )

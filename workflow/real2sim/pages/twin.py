@@ -259,7 +259,7 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> set
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
     if beyond:
-        axes.set_xlabel(f"{axes.get_xlabel()}\n{beyond} beyond {_HARDLY_WALKING} % not drawn")
+        axes.set_xlabel(f"{axes.get_xlabel()}\n{beyond} beyond {_HARDLY_WALKING} %\nnot drawn")
     if fallen:
         axes.set_xlabel(f"{axes.get_xlabel()}\n{fallen} of {len(records)} seeds not drawn:\nno free walk")
     return drawn

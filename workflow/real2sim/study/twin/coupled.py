@@ -164,7 +164,7 @@ class _Walkers:
 
     def __init__(self, policy: Policy, model: mujoco.MjModel, twin: TwinSettings, n: int, threads: int):
         self.policy, self.model, self.n = policy, model, n
-        self.substeps = int(twin["training"]["substeps"])
+        self.substeps = int(twin["human"]["substeps"])
         self.control_s = self.substeps * model.opt.timestep
         self.batch = untimed_batch(model, n, threads)
         self.kp = gains(policy.body)

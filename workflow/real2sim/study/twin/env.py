@@ -262,7 +262,7 @@ class WalkEnv:
         self.model = human_spec(who, human).compile()
         self.batch = untimed_batch(self.model, nsim, threads)
         self.nsim = nsim
-        self.substeps = int(settings["substeps"])
+        self.substeps = int(human["substeps"])
         self.control_s = self.substeps * self.model.opt.timestep
         self.kp = gains(who)
         self.rng = np.random.default_rng(seed)

@@ -405,6 +405,12 @@ def human_spec(who: Body, settings: TwinHumanSettings) -> mujoco.MjSpec:
     return spec
 
 
+def in_training(settings: TwinHumanSettings, substeps: int) -> TwinHumanSettings:
+    """Return the slice ``twin.human`` with the control step divided into ``substeps`` simulation steps."""
+    step = settings["timestep_s"] * settings["substeps"] / substeps
+    return {**settings, "timestep_s": step, "substeps": substeps}
+
+
 def pelvis_rotation(tilt: np.ndarray, lists: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Orientation (..., 3, 3) of the pelvis in the world from Rajagopal's three angles [rad].
 

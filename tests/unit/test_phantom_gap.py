@@ -15,6 +15,7 @@ from real2sim.verification.cohort import write as cohort
 from real2sim.verification.cohort.gap import Gap
 from real2sim.verification.phantom import exports
 from real2sim.verification.suite.forms import FORMS
+from real2sim.verification.suite.synthetic import Cause
 
 ROOT = Path(__file__).parents[2]
 ROBOT = ROOT / "resources/robot/drba.xml"
@@ -69,16 +70,17 @@ def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
     np.testing.assert_allclose(shown["IF_L"], true["IF_L"], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("shift", "too_near"), [(0.02, False), (0.03, True), (-0.008, True), (-0.005, False)]
-)
-def test_a_preload_leaves_the_strap_room_before_its_stops(shift, too_near):
-    gap = Gap.__new__(Gap)
+@pytest.mark.parametrize(("sign", "largest"), [(1.0, 1.0), (-1.0, 0.28)])
+def test_a_preload_leaves_the_strap_room_before_its_stops(sign, largest):
+    gap, form = Gap.__new__(Gap), FORMS["preload"]
     stops = np.full(6, -0.014), np.full(6, 0.05)
     gap._person = SimpleNamespace(stops={9: stops}, operating_level=9)
-    gap._options = {"preload_of_stop": 0.5}
-    others = (FORMS["tilt"], {"angle": 9.0})
-    assert gap._too_near([others, (FORMS["preload"], {"shift": shift * np.eye(6)[2]})]) is too_near
+    gap._options = {"preload_of_stop": 0.5, "largest": 2.5}
+    gap._p = SimpleNamespace(about=SimpleNamespace())
+    draw = SimpleNamespace(axes=np.eye(6)[2], values={"sign": np.full(6, sign)})
+    # the largest published preload is 25 mm
+    assert gap._largest(Cause(form, "preload"), draw) == pytest.approx(largest)
+    assert gap._largest(Cause(FORMS["tilt"], "tilt"), draw) == 2.5
 
 
 @pytest.mark.long

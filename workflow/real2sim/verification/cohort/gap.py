@@ -140,7 +140,6 @@ class Gap:
     def _choose(self) -> None:
         """Take the first draw of each effect that can make its share of the gap, else the one that comes nearest."""
         share = self._wanted / len(self._p.causes)
-        sizes = [self._sizes(self._largest(cause)) for cause in self._p.causes]
         rngs = [stream(self._settings, self._person.name, "gap", cause.name) for cause in self._p.causes]
         largest = dict.fromkeys(range(len(rngs)), -np.inf)
         # draw by draw: most effects make their share with the first
@@ -149,6 +148,7 @@ class Gap:
             if not unable:
                 break
             drawn = {i: self._p.causes[i].form.draw(rngs[i], about_of(self._p)) for i in unable}
+            sizes = {i: self._sizes(self._largest(self._p.causes[i], drawn[i])) for i in unable}
             tried = [(self._p.causes[i], drawn[i], size) for i in unable for size in sizes[i]]
             costs = self._costs([self._of([one]) for one in tried]).reshape(len(unable), -1)
             for i, reached in zip(unable, costs, strict=True):
@@ -157,9 +157,16 @@ class Gap:
                     self._p.causes[i].draw = drawn[i]
                     self._p.causes[i].severity = _size_at(share, sizes[i], reached)
 
-    def _largest(self, cause: Cause) -> float:
-        """Return the largest size that the settings and the effect's equation allow."""
-        return min(float(self._options["largest"]), cause.form.most_severe)
+    def _largest(self, cause: Cause, draw: Draw) -> float:
+        """Return the largest size of a drawn effect that the settings, its equation and the strap's stops allow."""
+        largest = min(float(self._options["largest"]), cause.form.most_severe)
+        if cause.form.effect != "preload":
+            return largest
+        person, share = self._person, self._options["preload_of_stop"]
+        lower, upper = person.stops[person.operating_level]
+        shift = cause.form.values(draw, 1.0, about_of(self._p))["shift"]
+        room = share * np.where(shift > 0, upper, lower)
+        return float(min(largest, *(room[shift != 0] / shift[shift != 0])))
 
     def _sizes(self, largest: float) -> np.ndarray:
         """Sizes (k,) that are tried at once, each half as large again as the one before."""
@@ -167,7 +174,7 @@ class Gap:
 
     def _fit_sizes(self) -> None:
         """Scale all effects together until the plain fit leaves the cost that was drawn."""
-        own = [(cause.severity, self._largest(cause)) for cause in self._p.causes]
+        own = [(cause.severity, self._largest(cause, cause.draw)) for cause in self._p.causes]
         factors = self._sizes(_STEP ** (self._options["sizes"] // 2))
         for _ in range(2):
             tried = [[min(factor * size, largest) for size, largest in own] for factor in factors]
@@ -188,20 +195,9 @@ class Gap:
         return [(c.form, c.form.values(draw, size, about_of(self._p))) for c, draw, size in effects]
 
     def _costs(self, effects: list[Applied]) -> np.ndarray:
-        """J (k,) that the refitted plain model leaves of the first dynamic trial.
-
-        0 where nothing can be simulated, and where a preload would take the strap too near to its stops.
-        """
+        """J (k,) that the refitted plain model leaves of the first dynamic trial; 0 where nothing can be simulated."""
         fits = gaps(self._world, [self._p] * len(effects), effects)
-        usable = [fit.usable and not self._too_near(some) for fit, some in zip(fits, effects, strict=True)]
-        return np.array([float(f.train @ f.train) if ok else 0.0 for f, ok in zip(fits, usable, strict=True)])
-
-    def _too_near(self, effects: Applied) -> bool:
-        """Return whether a preload takes the strap nearer to a stop than the settings allow."""
-        person, share = self._person, self._options["preload_of_stop"]
-        lower, upper = person.stops[person.operating_level]
-        shifts = [values["shift"] for form, values in effects if form.effect == "preload"]
-        return any(bool(np.any((shift < share * lower) | (shift > share * upper))) for shift in shifts)
+        return np.array([float(fit.train @ fit.train) if fit.usable else 0.0 for fit in fits])
 
     def put_into(self, trials: Sequence[Trial]) -> None:
         """Give neutral and dynamic trials their paths with the effects, and what is recorded of them before noise."""

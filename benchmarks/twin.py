@@ -6,7 +6,7 @@
 
 The gait is the phantom's walk_normal (config/phantom.yaml), the interface its rest pose and stops, the prior the
 published one. Policies of the same settings are used again from --folder. Exit code 1: a bar is missed.
-About 4-5 minutes of processor time per training and 2 per examination.
+About 3 to 8 minutes of processor time per training and 2 per examination.
 """
 
 from __future__ import annotations

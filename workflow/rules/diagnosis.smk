@@ -62,7 +62,7 @@ rule diagnose:
         "../envs/real2sim.yaml"
     threads: DIAGNOSIS_THREADS
     resources:
-        mem_mb=1800,  # two trials of 30 s take up to 0.7 GB at a time step of 10 ms, and 1.3 GB at 1 ms
+        mem_mb=1800,  # two trials of 30 s take 0.7 GB, and up to 1.3 GB beside friction or in steps of 1 ms
         runtime=30,
     params:
         train=lambda wildcards, input: Path(input.train).parent,

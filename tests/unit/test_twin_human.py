@@ -146,14 +146,15 @@ def test_joint_ranges_are_radians():
     np.testing.assert_allclose(model.joint("hip_flexion_l").range, np.radians([-30, 120]))
 
 
-def _drop_peak(contact: dict) -> float:
+def _drop_peak(contact: dict, step_s: float = 0.001) -> float:
     who = PEOPLE[1]
-    model = human_spec(who, twin_settings()["human"] | {"contact": contact}).compile()
+    settings = twin_settings()["human"] | {"contact": contact, "timestep_s": step_s}
+    model = human_spec(who, settings).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = qpos_of({}, who)
     data.qpos[2] += 0.02
     peak = 0.0
-    for _ in range(100):
+    for _ in range(round(0.4 / step_s)):
         mujoco.mj_step(model, data)
         peak = max(peak, data.qfrc_constraint[2] / who.weight)
     return peak
@@ -165,6 +166,8 @@ def test_soles_do_not_hit_like_stones():
     stone = soft | {"solref": [0.02, 1.0], "solimp": [0.9, 0.95, 0.001, 0.5, 2.0]}
     assert _drop_peak(soft) < 0.75 * _drop_peak(stone)
     assert _drop_peak(soft) < 4.5
+    # the step of the walkers exaggerates the hardest blow that a sole takes by less than a tenth
+    assert _drop_peak(soft, twin_settings()["human"]["timestep_s"]) < 1.1 * _drop_peak(soft)
 
 
 def test_mjcf_of_a_subject_file(tmp_path):

@@ -70,17 +70,16 @@ def test_only_the_neutral_and_dynamic_trials_hold_the_gap(simulated):
     np.testing.assert_allclose(shown["IF_L"], true["IF_L"], atol=1e-4)
 
 
-@pytest.mark.parametrize(("sign", "largest"), [(1.0, 1.0), (-1.0, 0.28)])
-def test_a_preload_leaves_the_strap_room_before_its_stops(sign, largest):
+@pytest.mark.parametrize(("sign", "largest"), [(1.0, 1.2), (-1.0, 0.4)])
+def test_a_preload_leaves_the_motion_room_before_the_stops(sign, largest):
     gap, form = Gap.__new__(Gap), FORMS["preload"]
-    stops = np.full(6, -0.014), np.full(6, 0.05)
-    gap._person = SimpleNamespace(stops={9: stops}, operating_level=9)
-    gap._options = {"preload_of_stop": 0.5, "largest": 2.5}
-    gap._p = SimpleNamespace(about=SimpleNamespace())
+    gap._person = SimpleNamespace(stops={9: (np.full(6, -0.014), np.full(6, 0.05))}, operating_level=9)
+    gap._options = {"largest": 2.5}
+    gap._p = SimpleNamespace(about=SimpleNamespace(lower=np.full(6, -0.004), upper=np.full(6, 0.02)))
     draw = SimpleNamespace(axes=np.eye(6)[2], values={"sign": np.full(6, sign)})
     # the largest published preload is 25 mm
     assert gap._largest(Cause(form, "preload"), draw) == pytest.approx(largest)
-    assert gap._largest(Cause(FORMS["tilt"], "tilt"), draw) == 2.5
+    assert gap._largest(Cause(FORMS["soft_tissue"], "soft_tissue"), draw) == 2.5
 
 
 @pytest.mark.long

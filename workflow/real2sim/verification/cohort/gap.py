@@ -159,14 +159,8 @@ class Gap:
 
     def _largest(self, cause: Cause, draw: Draw) -> float:
         """Return the largest size of a drawn effect that the settings, its equation and the strap's stops allow."""
-        largest = min(float(self._options["largest"]), cause.form.most_severe)
-        if cause.form.effect != "preload":
-            return largest
-        person, share = self._person, self._options["preload_of_stop"]
-        lower, upper = person.stops[person.operating_level]
-        shift = cause.form.values(draw, 1.0, about_of(self._p))["shift"]
-        room = share * np.where(shift > 0, upper, lower)
-        return float(min(largest, *(room[shift != 0] / shift[shift != 0])))
+        stops = self._person.stops[self._person.operating_level]
+        return min(float(self._options["largest"]), cause.form.largest(draw, about_of(self._p), stops))
 
     def _sizes(self, largest: float) -> np.ndarray:
         """Sizes (k,) that are tried at once, each half as large again as the one before."""

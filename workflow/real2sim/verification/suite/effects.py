@@ -91,6 +91,10 @@ class Form:
         """Quantities of the equation [SI]: (6,) per axis, or scalars and short lists."""
         raise NotImplementedError
 
+    def largest(self, draw: Draw, about: Context, stops: tuple[np.ndarray, np.ndarray]) -> float:
+        """Return the largest severity of a draw in a strap with stops (lower (6,), upper (6,)) [m, rad]."""
+        return self.most_severe
+
     def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         """Put the effect into a simulation."""
 
@@ -389,6 +393,12 @@ class Preload(StrapForm):
 
     def values(self, draw: Draw, severity: float, about: Context) -> Values:
         return {"shift": draw.axes * severity * draw.values["sign"] * _limit(0.025, np.radians(6))}
+
+    def largest(self, draw: Draw, about: Context, stops: tuple[np.ndarray, np.ndarray]) -> float:
+        # the motion about the shifted rest keeps off the stops
+        shift, (lower, upper) = self.values(draw, 1.0, about)["shift"], stops
+        room = np.where(shift > 0, np.maximum(upper - about.upper, 0.0), np.minimum(lower - about.lower, 0.0))
+        return float(np.min(room[shift != 0] / shift[shift != 0]))
 
     def change(self, setup: Setup, values: Values, trial: str, about: Context) -> None:
         if trial != "neutral":

@@ -27,7 +27,7 @@ import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
-from real2sim.study.twin.human import in_training
+from real2sim.study.twin.human import with_substeps
 from real2sim.study.twin.train import Trainer
 
 from benchmarks.twin import BODIES, reference_of
@@ -51,24 +51,45 @@ def resampled(curve: list[tuple[float, float]], steps: int) -> list[float]:
     return np.interp(np.linspace(steps / POINTS, steps, POINTS), x, y).tolist()
 
 
-def theirs(who: Any, reference: Any, settings: dict, seed: int, steps: int) -> tuple[list[float], float]:
-    """The same by stable-baselines3."""
-    import torch
+class _Alone:
+    """What a VecEnv has to answer about environments of its own, of which there are none here."""
+
+    num_envs: int
+
+    def close(self) -> None: ...
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list:
+        return [getattr(self, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list:
+        return [None] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def walkers_of(who: Any, reference: Any, settings: dict, seed: int) -> Any:
+    """`WalkEnv` as a VecEnv of stable-baselines3, which is imported only here."""
     from gymnasium import spaces
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+    from stable_baselines3.common.vec_env import VecEnv
 
-    torch.set_num_threads(1)
     o = settings["training"]
-    ppo, push, n = o["ppo"], o["push"], o["simulations"]
+    n = o["simulations"]
 
-    class Walkers(VecEnv):
+    class Walkers(_Alone, VecEnv):
         """`WalkEnv` as SB3 wants it; pushes grow as in `Trainer.iterate`."""
 
         def __init__(self) -> None:
             self.env = WalkEnv(
-                who, in_training(settings["human"], o["substeps"]), reference, o, nsim=n, threads=1, seed=seed
+                who,
+                with_substeps(settings["human"], o["substeps"]),
+                reference,
+                o,
+                nsim=n,
+                threads=1,
+                seed=seed,
             )
             self.env.sustained = True
             self.env.hold(o["hold"])
@@ -101,20 +122,20 @@ def theirs(who: Any, reference: Any, settings: dict, seed: int, steps: int) -> t
                 raw = self.env.observation().astype(np.float32)
             return raw, reward * o["reward_scale"], over, infos
 
-        def close(self) -> None: ...
+    return Walkers()
 
-        def get_attr(self, attr_name: str, indices: Any = None) -> list:
-            return [getattr(self, attr_name, None)] * n
 
-        def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
+def theirs(who: Any, reference: Any, settings: dict, seed: int, steps: int) -> tuple[list[float], float]:
+    """The same by stable-baselines3."""
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import VecNormalize
 
-        def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list:
-            return [None] * n
-
-        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            return [False] * n
-
-    walkers = Walkers()
+    torch.set_num_threads(1)
+    o = settings["training"]
+    ppo, push, n = o["ppo"], o["push"], o["simulations"]
+    walkers = walkers_of(who, reference, settings, seed)
     curve: list[tuple[float, float]] = []
 
     class Curve(BaseCallback):

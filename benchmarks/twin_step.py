@@ -1,11 +1,11 @@
 """How long may a simulation step of the twin be? One trained policy, examined with several steps.
 
     snakemake --cores 2 twin
-    python benchmarks/twin_step.py results/twin/S06/seed-2/policy.npz [--steps-ms 2 4 6 8 12]
+    python benchmarks/twin_step.py results/twin/S06/seed-2/policy.npz [--substeps 12 6 3 2]
 
-The control step stays as it is (24 ms as shipped). Prints per step of the simulation: speed, ranges of motion of hip,
-knee and ankle, floor force, single pushes that were stood, and the processor time of the walk as a ratio to that of the
-step in config/config.yaml.
+The control step stays as it is (24 ms as shipped) and is divided into so many simulation steps, and into those of
+config/config.yaml. Prints per step: speed, ranges of motion of hip, knee and ankle, floor force, single pushes that
+were stood, and the processor time of the walk as a ratio to that with the configured steps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import pandas as pd
 from real2sim.configuration import read_yaml, validated
 from real2sim.study.twin.evaluate import PUSH_DIRECTIONS, PUSH_PHASES, battery_of, environment, free_walk
-from real2sim.study.twin.human import in_training
+from real2sim.study.twin.human import with_substeps
 from real2sim.study.twin.policy import Policy, load_policy
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 
 def row(policy: Policy, twin: dict, substeps: int) -> dict[str, float]:
     """Return what the examination of a policy says with the control step divided into ``substeps``."""
-    settings = twin | {"human": in_training(twin["human"], substeps)}
+    settings = twin | {"human": with_substeps(twin["human"], substeps)}
     e = twin["evaluation"]
     start = time.process_time()
     env = environment(policy, settings, nsim=e["walkers"], threads=1, seed=0)
@@ -53,16 +53,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("policy", type=Path)
-    parser.add_argument("--steps-ms", type=float, nargs="+", default=[2, 4, 6, 8, 12])
+    parser.add_argument("--substeps", type=int, nargs="+", default=[12, 6, 3, 2])
     args = parser.parse_args()
     config = ROOT / "config" / "config.yaml"
     twin = dict(validated(read_yaml(config), "config", config)["twin"])
-    human, policy = twin["human"], load_policy(args.policy)
-    control_ms = 1e3 * human["timestep_s"] * human["substeps"]
-    rows = [row(policy, twin, round(control_ms / step)) for step in args.steps_ms]
-    own = row(policy, twin, human["substeps"])
-    table = pd.DataFrame(rows)
-    table["processor_ratio"] = table.pop("processor_s") / own["processor_s"]
+    own, policy = twin["human"]["substeps"], load_policy(args.policy)
+    rows = {n: row(policy, twin, n) for n in sorted({own, *args.substeps}, reverse=True)}
+    table = pd.DataFrame(rows.values())
+    table["processor_ratio"] = table.pop("processor_s") / rows[own]["processor_s"]
     print(table.round(3).to_string(index=False))
 
 

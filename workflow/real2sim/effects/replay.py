@@ -421,7 +421,7 @@ class EffectReplay(FreeRuns, Replay):
     def _roll_windows(self, answers: dict[int, Answer], last: int, m: int) -> np.ndarray:
         """Step to step ``last``, window by window; force of the strap on the interface (m, last, 2) [N, world]."""
         batch, least = self._batch, max(round(WINDOW_S / self.model.opt.timestep), 1)
-        # what every controller answers late is known for longer
+        # what a controller answers is known as far ahead as its delay
         count = max(least, min(answer.foreseen for answer in answers.values()))
         # all simulations need no list, which MuJoCo would check at every window
         ids = None if m == batch.nsim else np.arange(m)

@@ -405,7 +405,7 @@ def human_spec(who: Body, settings: TwinHumanSettings) -> mujoco.MjSpec:
     return spec
 
 
-def in_training(settings: TwinHumanSettings, substeps: int) -> TwinHumanSettings:
+def with_substeps(settings: TwinHumanSettings, substeps: int) -> TwinHumanSettings:
     """Return the slice ``twin.human`` with the control step divided into ``substeps`` simulation steps."""
     step = settings["timestep_s"] * settings["substeps"] / substeps
     return {**settings, "timestep_s": step, "substeps": substeps}

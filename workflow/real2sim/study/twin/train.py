@@ -33,7 +33,7 @@ from real2sim.study.twin.evaluate import (
     withstands,
 )
 from real2sim.study.twin.gait import Reference
-from real2sim.study.twin.human import Body, body_of, in_training
+from real2sim.study.twin.human import Body, body_of, with_substeps
 from real2sim.study.twin.policy import Policy, load_reference, save_policy
 from real2sim.study.twin.ppo import Learner, Normaliser, advantages, flat, layers_of
 
@@ -60,7 +60,7 @@ class Trainer:
         self.who, self.reference, self.settings = who, reference, settings
         self.options = settings["training"]
         sims = self.options["simulations"]
-        human = in_training(settings["human"], self.options["substeps"])
+        human = with_substeps(settings["human"], self.options["substeps"])
         self.env = WalkEnv(who, human, reference, self.options, nsim=sims, threads=threads, seed=seed)
         self.env.sustained = True
         self.env.hold(self.options["hold"])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from real2sim.diagnosis import corrected as module
 from real2sim.diagnosis.corrected import Correction, corrected
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
@@ -44,11 +43,14 @@ class _Problem:
 
     lower, upper = np.full(12, -5.0), np.full(12, 5.0)
 
-    def __init__(self, evidence, effects, system):
+    def __init__(self, evidence, effects, system, *, coarse=False):
         self._evidence = evidence
 
     def _residuals(self, z):
         return (self._evidence.x @ z - self._evidence.y) / self._evidence.unit
+
+    def follow(self, z):
+        """Nothing is planned."""
 
     def with_jacobian(self, z, free):
         return self._residuals(z), self._evidence.x / self._evidence.unit
@@ -59,7 +61,7 @@ class _Problem:
 
 def _fits(monkeypatch, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least squares, its correction and the covariance of that."""
-    monkeypatch.setattr(module, "JointResiduals", _Problem)
+    monkeypatch.setattr("real2sim.diagnosis.refit.JointResiduals", _Problem)
     evidence = _Measured(noise)
     plain = np.linalg.lstsq(evidence.x, evidence.y, rcond=None)[0]
     pair = Pair(evidence, evidence, STRAP)
@@ -85,7 +87,7 @@ def test_without_noise_nothing_is_corrected(monkeypatch):
 
 def test_what_only_noise_tells_is_told_as_not_known(monkeypatch):
     """A parameter that moves nothing but noise keeps an interval that is far wider than its curvature says."""
-    monkeypatch.setattr(module, "JointResiduals", _Problem)
+    monkeypatch.setattr("real2sim.diagnosis.refit.JointResiduals", _Problem)
     evidence = _Measured(NOISE)
     rng = np.random.default_rng(5)
     evidence.x[:, 0] = NOISE * rng.standard_normal(SAMPLES)

@@ -6,10 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from real2sim.diagnosis.refit import JointResiduals, refit, refit_freely
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Where
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
 from real2sim.effects.free_run import settled, with_strap_motion
 from real2sim.effects.planned import FamilyForce
+from real2sim.effects.replay import EffectReplay
 from real2sim.geometry import interface_coordinates, relative_pose, rotation_xyz
 from real2sim.signals import lowpass
 
@@ -157,3 +159,40 @@ def test_a_law_that_repeats_a_push_from_outside_does_nothing_by_itself():
     freely, _ = replay([_spring()], motion=still, noise=q).run_freely(at, law)
     assert np.std(planned - recorded) < 0.2 * np.std(recorded - plain)
     np.testing.assert_allclose(freely, plain, atol=1e-6)
+
+
+class _Recorded:
+    """A trial that was recorded with a strap that pulls (n, 6) otherwise than the simulation: residuals [mm]."""
+
+    held_out, skin, cost = False, None, None
+
+    def __init__(self, paths: np.ndarray, noise: np.ndarray):
+        self._paths, self._noise = paths, noise
+        self.context = self.replay([], 1).planned_from
+
+    def replay(self, effects: list[Placed], nsim: int, *, coarse: bool = False) -> EffectReplay:
+        return replay(effects, nsim, noise=self._noise)
+
+    def whitened(self, paths: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        return 1e3 * (paths - self._paths).reshape(len(paths), -1)
+
+
+def test_a_law_beside_a_gap_is_not_bent_by_what_was_recorded():
+    """A spring is fitted beside a push that no hypothesis has: the motion of the free run has not been told of it."""
+    true, at = 800.0, PRIOR[None]
+    alone = replay([_spring()])
+    alone.run_freely(at, [np.array([[true]])])
+    recorded = replay([_push(), _spring()])
+    paths, _ = recorded.run_freely(at, [np.array([[30.0]]), np.array([[true]])])
+    noise = recorded.planned_from.coordinates - recorded._context.coordinates
+    trial = _Recorded(paths, noise)
+    problem = JointResiduals(trial, [_spring()], STRAP)
+    problem.free = np.array([len(PRIOR)])
+    start = np.append(STRAP.searched(PRIOR), 0.0)
+    planned, _ = refit(problem, start, iterations=20, ftol=1e-6)
+    freely = refit_freely(problem, planned, iterations=20, ftol=1e-6)
+    assert problem.cost_freely(freely) < problem.cost_freely(planned)
+    assert abs(freely[-1] - true) < 0.5 * abs(planned[-1] - true)
+    # nearly as good as the best of the cost itself
+    around = [problem.cost_freely(np.append(start[:-1], freely[-1] * f)) for f in (0.9, 1.1)]
+    assert problem.cost_freely(freely) < min(around)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from real2sim.diagnosis import further
+from real2sim.diagnosis import further, refit
 from real2sim.diagnosis.further import information, predict_further
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import FAILED
@@ -25,6 +25,9 @@ def pair(monkeypatch):
             self.prior_sd = np.array([np.inf, np.inf, 0.5])
             self._evidence = evidence
 
+        def follow(self, z):
+            """Nothing is planned."""
+
         def with_jacobian(self, z, free):
             e = self._evidence
             return e.matrix @ z - e.measured, e.matrix[:, free]
@@ -35,7 +38,8 @@ def pair(monkeypatch):
             matrix=matrix, measured=rng.standard_normal(rows), samples=rows, rows=rows, sensors={"outputs": 1}
         )
 
-    monkeypatch.setattr(further, "JointResiduals", Linear)
+    for module in (further, refit):
+        monkeypatch.setattr(module, "JointResiduals", Linear)
     return SimpleNamespace(train=trial(8), held_out=trial(6), system=None), trial
 
 

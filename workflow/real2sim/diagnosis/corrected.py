@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import Pair
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def corrected(pair: Pair, hypothesis: Hypothesis, rule: Correction) -> tuple[np.
     The system's parameters are corrected for what noise does to the residuals, the effects' own follow. Where the
     simulation does not bear a step, it stops there. It is the fitted point where the drive has no noise.
     """
-    problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
+    problem = following(pair.train, hypothesis, pair.system)
     everything = np.arange(len(hypothesis.z))
     shaken = pair.train.shaken(rule.draws, rule.seed)
     if shaken is None:

@@ -25,7 +25,8 @@ CONFIGURED = "configured"
 class Simulation(Protocol):
     """Many simulations of one trial with some effects, in one call.
 
-    ``planned_from`` is the context that the planned forces of the last free run were computed from.
+    ``planned_from`` is the context that the planned forces of the last free run were computed from, or that
+    `plan_from` asked for.
     """
 
     planned_from: Context
@@ -38,6 +39,9 @@ class Simulation(Protocol):
 
     def run_freely(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """As `run_effects` of one point (1, p), planned forces following the simulated motion: see `FreeRuns`."""
+
+    def plan_from(self, motion: np.ndarray) -> None:
+        """Plan forces from another motion (n, axes) of the interface than the recorded one from now on."""
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly."""

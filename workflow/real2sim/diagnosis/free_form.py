@@ -18,7 +18,7 @@ import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.law_equations import SCALES, Equations, Products, solved
-from real2sim.diagnosis.refit import ENDLESS, Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import ENDLESS, Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import FAILED, Pair, Search
 from real2sim.effects import families
 from real2sim.effects.base import AtRest, Effect, EffectParameter, InterfaceImpedance, Placed, Where
@@ -35,7 +35,6 @@ from real2sim.effects.families import (
     rhythm,
     with_rhythm,
 )
-from real2sim.effects.free_run import feed_back
 from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import Tangent
 from real2sim.memory import give_back
@@ -245,7 +244,7 @@ class Responses:
 
     def __init__(self, evidence: Evidence, library: Library, base: Hypothesis):
         self._evidence, self._library, self._base = evidence, library, base
-        problem = JointResiduals(evidence, base.effects, library.system, coarse=True)
+        problem = following(evidence, base, library.system, coarse=True)
         self._residuals, self._own = problem.with_jacobian(base.z, np.arange(len(base.z)))
         self._replay = evidence.replay([*base.effects, library.motors], 1, coarse=True)
         still = np.zeros((1, len(library.motors.effect.parameters)))
@@ -569,28 +568,18 @@ class Law:
         return self.hypothesis.split()[len(self.hypothesis.effects) - len(self.families) :]
 
 
-def _left_freely(hypothesis: Hypothesis, *trials: JointResiduals) -> float:
-    """Return what the residuals of the data leave of both trials in free runs."""
-    if any(placed.effect.chains.displacement for placed in hypothesis.effects):
-        # chi-squared also counts ways of the pelvis' markers, which are priors here
-        return sum(float(np.sum(trial.freely(hypothesis.z) ** 2)) for trial in trials)
-    return float(sum(hypothesis.chi2))
-
-
 def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     """Return the Laplace approximation of the ln marginal likelihood of both trials, but for what all have in common.
 
-    A coefficient without a Gaussian prior is taken as likely anywhere within its bounds. What is left is that of free
-    runs, and its curvature that of forces planned from the recorded motion.
+    A coefficient without a Gaussian prior is taken as likely anywhere within its bounds. Planned forces follow the
+    motion of free runs.
     """
-    system, effects = pair.system, hypothesis.effects
     z, everything = hypothesis.z, np.arange(len(hypothesis.z))
-    train = JointResiduals(pair.train, effects, system, coarse=True)
-    held = JointResiduals(pair.held_out, effects, system, coarse=True)
+    train = following(pair.train, hypothesis, pair.system, coarse=True)
+    held = following(pair.held_out, hypothesis, pair.system, coarse=True)
     r, jac = train.with_jacobian(z, everything)
     r_h, jac_h = held.with_jacobian(z, everything)
-    k, m = pair.train.rows, pair.held_out.rows
-    planned = float(r[:k] @ r[:k] + r_h[:m] @ r_h[:m])
+    m = pair.held_out.rows
     r, jac = np.concatenate([r, r_h[:m]]), np.vstack([jac, jac_h[:m]])
     a = jac.T @ jac
     a[np.diag_indices_from(a)] += 1e-9
@@ -600,8 +589,6 @@ def ln_evidence(pair: Pair, hypothesis: Hypothesis, longest: float) -> float:
     n = len(hypothesis.base)
     sd, width = train.prior_sd[n:], (train.upper - train.lower)[n:]
     prior = np.where(np.isfinite(sd), -np.log(sd), 0.5 * np.log(2 * np.pi) - np.log(width))
-    if feed_back(effects):
-        left += _left_freely(hypothesis, train, held) - planned
     return float(-0.5 * left - 0.5 * np.linalg.slogdet(a)[1] + prior.sum())
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals, prior_widths
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following, prior_widths
 from real2sim.diagnosis.search import Pair, failed
 from real2sim.diagnosis.sensors import by_sensor
 from real2sim.inference.least_squares import bounded_step
@@ -37,7 +37,7 @@ def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     everything = np.arange(len(hypothesis.z))
     total = np.zeros((len(everything), len(everything)))
     for evidence in (pair.train, pair.held_out):
-        problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
+        problem = following(evidence, hypothesis, pair.system, coarse=True)
         _, jacobian = problem.with_jacobian(hypothesis.z, everything)
         # rows of the priors count once
         rows = jacobian[: evidence.rows] if evidence is pair.held_out else jacobian
@@ -61,6 +61,7 @@ def predict_further(
     moved, out = np.zeros(len(z)), []
     for evidence in further:
         problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
+        problem.follow(z)
         r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
         r, jacobian = r[: evidence.rows], jacobian[: evidence.rows]
         moved[own] = 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from real2sim.diagnosis.corrected import Correction, corrected
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.effects.catalogue import Placed
 from real2sim.inference.identifiability import interval_verdict
@@ -88,7 +88,7 @@ def _variances(covariance: np.ndarray) -> np.ndarray:
 
 def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     """Return the covariance (n + p, n + p) of the searched numbers, from the curvature at the joint optimum."""
-    problem = JointResiduals(pair.train, hypothesis.effects, pair.system)
+    problem = following(pair.train, hypothesis, pair.system)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian
     elsewhere = JointResiduals(pair.held_out, hypothesis.effects, pair.system)

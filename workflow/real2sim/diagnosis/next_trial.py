@@ -18,7 +18,7 @@ from real2sim.diagnosis.decide import Decision
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law
 from real2sim.diagnosis.further import information
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import Pair
 from real2sim.inference.least_squares import bounded_step
 
@@ -126,7 +126,7 @@ def _left(
     """Standard deviations that the other hypothesis leaves of what the truth makes of a trial; NaN where one fails."""
     n = evidence.rows
     here = JointResiduals(evidence, truth.effects, pair.system, coarse=True).freely(truth.z)
-    problem = JointResiduals(evidence, other.effects, pair.system, coarse=True)
+    problem = following(evidence, other, pair.system, coarse=True, known=False)
     _, jacobian = problem.with_jacobian(other.z, np.arange(len(other.z)))
     apart, slopes = problem.freely(other.z) - here, jacobian[:n]
     if not (np.isfinite(apart).all() and np.isfinite(slopes).all()):

@@ -31,7 +31,8 @@ class Hypothesis:
     ``chi2`` and ``j`` (J of the paper) are those of training and held-out trial; ``evaluations`` counts replays;
     ``converged``: it was refitted to the end. ``occam``: what Laplace's approximation of the marginal likelihood of the
     training trial adds to chi-squared (`occam_of`). ``sensors`` are ``chi2`` by sensor, trial by trial, where there is
-    more than one.
+    more than one. ``motions`` are those (n, axes) of the interface in the free runs of both trials, where planned
+    forces follow them.
     """
 
     effects: tuple[Placed, ...]
@@ -42,6 +43,7 @@ class Hypothesis:
     converged: bool = False
     occam: float = 0.0
     sensors: tuple[tuple[float, ...], ...] = ()
+    motions: tuple[np.ndarray, ...] = ()
 
     @property
     def by_sensor(self) -> tuple[tuple[float, ...], ...]:
@@ -132,6 +134,9 @@ class JointResiduals(least_squares.Residuals):
         self._acting = np.concatenate([np.ones(n, bool), *acting])
         self.evaluations = 0
         self.last: np.ndarray | None = None
+        self._context = evidence.context
+        # point and result of the last free run
+        self._free_run: tuple[bytes, tuple[np.ndarray, np.ndarray]] = b"", (np.empty(0), np.empty(0))
 
     def many(self, z: np.ndarray) -> np.ndarray:
         """Residuals (m, n_r) of points (m, n + p)."""
@@ -224,7 +229,7 @@ class JointResiduals(least_squares.Residuals):
         if linear is None:
             return None
         here, evidence = self._evidence.whitened(paths, joints), self._evidence
-        context = replace(evidence.context, step_time_s=evidence.context.time_s, held_out=evidence.held_out)
+        context = replace(self._context, step_time_s=self._context.time_s, held_out=evidence.held_out)
         impedance = InterfaceImpedance(np.empty((0, 0)), np.empty((0, 0)))
         data = np.zeros((here.shape[1], len(z)))
         for i, (placed, own) in enumerate(zip(self.effects, self._places, strict=True)):
@@ -270,7 +275,33 @@ class JointResiduals(least_squares.Residuals):
         return np.asarray(self._evidence.whitened(*self._run_freely(z))[0])
 
     def _run_freely(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return run_freely(self._replay, self.effects, *self._numbers(z[None]))
+        if self._free_run[0] != z.tobytes():
+            self._free_run = z.tobytes(), run_freely(self._replay, self.effects, *self._numbers(z[None]))
+        return self._free_run[1]
+
+    def cost_freely(self, z: np.ndarray) -> float:
+        """Sum of squares of all residuals, those of the priors too, at a point (n + p,) in a free run."""
+        left = np.concatenate([self.freely(z), self._beside_data(z[None])[0]])
+        cost = float(left @ left)
+        return cost if np.isfinite(cost) else np.inf
+
+    def follow(self, z: np.ndarray) -> None:
+        """Plan forces from the motion of the free run at a point (n + p,) from now on.
+
+        Nothing changes where no force depends on the motion of the interface, or no free run is found.
+        """
+        if feed_back(self.effects) and np.isfinite(self._run_freely(z)[0]).all():
+            self.plan_from(self._replay.planned_from.coordinates)
+
+    def plan_from(self, motion: np.ndarray) -> None:
+        """Plan forces that depend on the interface's motion from another one (n, axes) than the recorded one."""
+        self._replay.plan_from(motion)
+        self._context = self._replay.planned_from
+
+    @property
+    def motion(self) -> np.ndarray:
+        """Motion (n, axes) of the interface in the last free run, or the one that forces are planned from."""
+        return self._replay.planned_from.coordinates
 
     def raw(self, z: np.ndarray) -> np.ndarray:
         """Residuals (1, n, c) before they are whitened, at a point (n + p,)."""
@@ -290,6 +321,21 @@ class JointResiduals(least_squares.Residuals):
             if skin is not None:
                 left[0] += skin.against_it(ways[0])
         return tuple(left.tolist()), float(self._evidence.j(paths)[0])
+
+
+def following(
+    evidence: Evidence, hypothesis: Hypothesis, system: System, *, coarse: bool = False, known: bool = True
+) -> JointResiduals:
+    """Return residuals of a hypothesis whose planned forces follow the motion of its free run.
+
+    That motion is ``known`` for the two trials of the fit.
+    """
+    problem = JointResiduals(evidence, hypothesis.effects, system, coarse=coarse)
+    if known and hypothesis.motions:
+        problem.plan_from(hypothesis.motions[int(evidence.held_out)])
+    else:
+        problem.follow(hypothesis.z)
+    return problem
 
 
 def _base_prior(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -318,6 +364,29 @@ def refit(
         residuals, start, residuals.free, iterations=iterations, ftol=ftol, keep=keep, known=known
     )
     return z, cost
+
+
+def refit_freely(residuals: JointResiduals, start: np.ndarray, *, iterations: int, ftol: float) -> np.ndarray:
+    """Best point (n + p,) in free runs, from one that was fitted to forces planned from the recorded motion.
+
+    Forces are planned from the motion of the free run, and all numbers take a step, ``iterations`` times at most and as
+    long as the next free run leaves less by a share ``ftol``. That motion has not been told what was recorded: it is
+    the instrument with which coefficients beside a gap are not bent by it (instrumental variables: Soderstrom & Stoica,
+    Automatica 17 (1981) 101).
+    """
+    best, least = start, residuals.cost_freely(start)
+    for _ in range(iterations if np.isfinite(least) else 0):
+        residuals.follow(best)
+        # where it is and one step
+        z, _ = refit(residuals, best, iterations=2, ftol=ftol)
+        cost = residuals.cost_freely(z)
+        if not cost < least:
+            break
+        gain, best, least = 1 - cost / least, z, cost
+        if gain < ftol:
+            break
+    residuals.follow(best)
+    return best
 
 
 def prior_widths(prior_sd: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -16,9 +16,10 @@ import scipy
 from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit
+from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit, refit_freely
 from real2sim.diagnosis.sensors import above, are_on_floor, pooled
 from real2sim.effects.catalogue import Placed
+from real2sim.effects.free_run import feed_back
 from real2sim.inference.least_squares import Tangent, bounded_step
 from real2sim.memory import give_back
 from real2sim.system.description import System
@@ -151,6 +152,9 @@ class Search:
             # what the verdict rests on takes a new Jacobian at every step
             iterations, ftol, keep = own["final_iterations"], own["final_ftol"], 0.0
         z, _ = refit(residuals, start, iterations=iterations, ftol=ftol, keep=keep, known=tangent)
+        follows = feed_back(effects)
+        if follows:
+            z = refit_freely(residuals, z, iterations=iterations, ftol=ftol)
         slopes = residuals.last
         if slopes is None and tangent is not None:
             slopes = tangent.jacobian[:, residuals.free]
@@ -171,8 +175,9 @@ class Search:
         (train, j_train), (other, j_other) = judged
         left = sum(train), sum(other)
         give_back()
+        motions = (residuals.motion, held_out.motion) if follows and simulated else ()
         return Hypothesis(
-            tuple(effects), z, left, (j_train, j_other), count, final, occam, sensors=(train, other)
+            tuple(effects), z, left, (j_train, j_other), count, final, occam, (train, other), motions
         )
 
     def _residuals(self, effects: Sequence[Placed], *, coarse: bool = True) -> JointResiduals:

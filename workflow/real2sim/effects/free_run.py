@@ -36,14 +36,15 @@ def feed_back(effects: Sequence[Placed]) -> bool:
 class FreeRuns:
     """The free run of a replay, whose class says how to simulate and how the interface moved.
 
-    ``effects``, ``_context`` and ``_scales`` are the replay's. ``planned_from`` is the context that the planned forces
-    of the last free run were computed from.
+    ``effects``, ``_context`` and ``_scales`` are the replay's; forces are planned from ``_context``. ``planned_from``
+    is the context that those of the last free run were planned from, or that `plan_from` asked for.
     """
 
     effects: Sequence[Placed]
     _context: Context
     _scales: Scales
     planned_from: Context
+    _follows = False
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Simulate parameters (m, n) with searched numbers (m, p) of each effect; see the replay."""
@@ -52,6 +53,14 @@ class FreeRuns:
     def _motion(self) -> np.ndarray:
         """Simulated motion (n, axes) [m, rad] of the interface in the last call's first simulation."""
         raise NotImplementedError
+
+    def plan_from(self, motion: np.ndarray) -> None:
+        """Plan forces from the motion (n, axes) [m, rad] of a free run instead of the recorded one from now on.
+
+        The next free run begins with it.
+        """
+        self._context = self.planned_from = self._moved(self._context, motion)
+        self._follows = True
 
     def _moved(self, recorded: Context, motion: np.ndarray) -> Context:
         """Context of a trial whose interface moves otherwise, motion (n, axes) [m, rad]."""
@@ -74,9 +83,12 @@ class FreeRuns:
             return self._motion()
 
         try:
-            # begun without the law: what was recorded agrees with whatever repeats it
-            self.run_effects(parameters, without)
-            motion = settled(simulated, self._motion(), self._scales.q)
+            start = recorded.coordinates
+            if not self._follows:
+                # begun without the law: what was recorded agrees with whatever repeats it
+                self.run_effects(parameters, without)
+                start = self._motion()
+            motion = settled(simulated, start, self._scales.q)
             self.planned_from = recorded if motion is None else self._moved(recorded, motion)
             self._context = self.planned_from
             paths, joints = self.run_effects(parameters, x)

@@ -196,6 +196,20 @@ def test_a_cubic_spring_is_measured_without_its_name(stiff):
     assert cubic["unit"] == "N per m^3"
 
 
+def test_a_law_is_known_the_less_the_more_it_leaves(stiff):
+    """Of either trial; a law that leaves noise alone is known as well as noise allows."""
+    pair, search, plain = stiff
+    law = measure(pair, plain, plain.base, search, FREE, SEARCH, lambda text: None).laws[0]
+    n, m = pair.train.samples, pair.held_out.samples
+    width = []
+    for chi2 in ((n, 0.5 * m), (n, 9.0 * m), (4.0 * n, m)):
+        left = replace(law, hypothesis=replace(law.hypothesis, chi2=chi2))
+        curve = describe(pair, left, [], Library(pair, FREE["band_share"]))["curve"]
+        width.append(np.array(curve["high"]) - curve["low"])
+    np.testing.assert_allclose(width[1], 3 * width[0], rtol=1e-9)
+    np.testing.assert_allclose(width[2], 2 * width[0], rtol=1e-9)
+
+
 def test_a_coefficient_may_drive_one_of_several_joints(stiff):
     """As those of a force that repeats along the way of a base: two along x, two along y."""
     pair, _, _ = stiff

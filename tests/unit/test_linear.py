@@ -73,6 +73,24 @@ def test_slopes_by_forces_are_those_of_replays(pair, monkeypatch):
     assert np.linalg.norm(replayed, axis=0).min() > 0
 
 
+def test_slopes_on_top_of_a_law_are_those_of_replays(pair, monkeypatch):
+    both, z = pair
+    library = Library(both, 1.0)
+    law, other = (next(f for f in library.forces if f.kind == kind) for kind in ("dissipative", "elastic"))
+    placed, few = library.placed(law, 0.1), library.only([other])
+    problem = JointResiduals(both.train, (placed,), both.system, coarse=True)
+    at = np.concatenate([z, np.full(len(law.terms), -0.05)])
+    base = Hypothesis((placed,), at, (np.nan, np.nan))
+    # planned from what was recorded, the law leaves something else
+    assert np.abs(problem.freely(at) - problem.many(at[None])[0][: both.train.rows]).max() > 0.1
+    linear = _by_terms(both.train, few, base)
+    monkeypatch.setattr(SystemReplay, "linearised", lambda self: None)
+    monkeypatch.setattr(JointResiduals, "_by_forces", lambda *_: None)
+    replayed = _by_terms(both.train, few, base)
+    apart = np.linalg.norm(linear - replayed, axis=0) / np.linalg.norm(replayed, axis=0)
+    assert apart.max() < 0.1
+
+
 @pytest.mark.parametrize("grown", [np.inf, np.nan, 1e30])
 def test_linearised_steps_that_grow_without_bound_are_not_used(pair, monkeypatch, grown):
     both, z = pair

@@ -177,6 +177,15 @@ def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeyp
     assert len(content) < len(path.read_text(encoding="utf-8"))
 
 
+def test_of_one_person_the_page_tells_no_median(report, tmp_path):
+    out = tmp_path / "report.html"
+    write_json(tmp_path / "diagnosis.json", _diagnosis())
+    report_page(**report[1], title="One", out=out, diagnoses=[tmp_path / "diagnosis.json"])
+    text = _parsed(out)[0].text
+    assert "The answer for the one person who was diagnosed: slack. What was found" in text
+    assert "above noise." in text
+
+
 def _record(path: Path, seed: int, share: float) -> Path:
     claim = {"claim": "top-1, rho = 0.05", "value": share, "n": 40, "wilson95": [share - 0.1, share + 0.05]}
     other = {"claim": "expected calibration error", "value": 0.033, "n": 40, "wilson95": None}

@@ -35,6 +35,7 @@ from real2sim.effects.families import (
     rhythm,
     with_rhythm,
 )
+from real2sim.effects.free_run import feed_back
 from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import Tangent
 from real2sim.memory import give_back
@@ -272,6 +273,9 @@ class Responses:
         own = len(placed.effect.parameters)
         at = np.concatenate([base.z, np.zeros(own)])
         there = np.concatenate([self._residuals, np.zeros(own)])
+        if feed_back(base.effects):
+            # a new family is planned from what was recorded, and so is the law of the base beside it
+            there = joint.many(at[None])[0]
         return joint.jacobian(at, there, np.arange(len(base.z), len(at)))[: evidence.rows]
 
     @property

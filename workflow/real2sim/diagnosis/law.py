@@ -175,8 +175,18 @@ def _without(force: np.ndarray, signals: np.ndarray) -> np.ndarray:
     return np.asarray(force - known @ np.linalg.lstsq(known, force, rcond=None)[0])[:, 0]
 
 
+def _beyond_noise(pair: Pair, hypothesis: Hypothesis) -> float:
+    """Chi-squared over its expectation, of the trial where that is more, and at least 1.
+
+    A law that leaves more than noise is known less well than noise alone says, by the root of this (Birge, Phys. Rev.
+    40 (1932) 207). What it leaves of the trial that it was not fitted to shows best how far off it is.
+    """
+    expected = pair.train.samples, pair.held_out.samples
+    return max(1.0, *(left / n for left, n in zip(hypothesis.chi2, expected, strict=True)))
+
+
 def _fitted(pair: Pair, law: Law) -> list[_Fitted]:
-    covariance = covariance_of(pair, law.hypothesis)
+    covariance = covariance_of(pair, law.hypothesis) * _beyond_noise(pair, law.hypothesis)
     at, out = law.first, []
     for family, x in zip(law.families, law.coefficients, strict=True):
         # of coefficients that each trial has of its own, those of the fitted one are told

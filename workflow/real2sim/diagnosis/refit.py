@@ -12,6 +12,7 @@ from real2sim.diagnosis.evidence import Evidence, Simulation
 from real2sim.diagnosis.sensors import by_sensor
 from real2sim.effects.base import InterfaceImpedance
 from real2sim.effects.catalogue import Placed
+from real2sim.effects.chains import Context
 from real2sim.effects.free_run import feed_back
 from real2sim.inference import least_squares
 from real2sim.recording.skin import Skin
@@ -134,7 +135,8 @@ class JointResiduals(least_squares.Residuals):
         self._acting = np.concatenate([np.ones(n, bool), *acting])
         self.evaluations = 0
         self.last: np.ndarray | None = None
-        self._context = evidence.context
+        # what forces are planned from, where that is not what was recorded
+        self._context: Context | None = None
         # point and result of the last free run
         self._free_run: tuple[bytes, tuple[np.ndarray, np.ndarray]] = b"", (np.empty(0), np.empty(0))
 
@@ -229,7 +231,8 @@ class JointResiduals(least_squares.Residuals):
         if linear is None:
             return None
         here, evidence = self._evidence.whitened(paths, joints), self._evidence
-        context = replace(self._context, step_time_s=self._context.time_s, held_out=evidence.held_out)
+        context = self._context or evidence.context
+        context = replace(context, step_time_s=context.time_s, held_out=evidence.held_out)
         impedance = InterfaceImpedance(np.empty((0, 0)), np.empty((0, 0)))
         data = np.zeros((here.shape[1], len(z)))
         for i, (placed, own) in enumerate(zip(self.effects, self._places, strict=True)):

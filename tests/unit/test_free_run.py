@@ -162,7 +162,10 @@ def test_a_law_that_repeats_a_push_from_outside_does_nothing_by_itself():
 
 
 class _Recorded:
-    """A trial that was recorded with a strap that pulls (n, 6) otherwise than the simulation: residuals [mm]."""
+    """A trial: marker ``paths`` (1, n, 2, 3) [m], and what its interface moves beside the pelvis, ``noise`` (n, 6).
+
+    Residuals are in millimetres.
+    """
 
     held_out, skin, cost = False, None, None
 
@@ -180,8 +183,6 @@ class _Recorded:
 def test_a_law_beside_a_gap_is_not_bent_by_what_was_recorded():
     """A spring is fitted beside a push that no hypothesis has: the motion of the free run has not been told of it."""
     true, at = 800.0, PRIOR[None]
-    alone = replay([_spring()])
-    alone.run_freely(at, [np.array([[true]])])
     recorded = replay([_push(), _spring()])
     paths, _ = recorded.run_freely(at, [np.array([[30.0]]), np.array([[true]])])
     noise = recorded.planned_from.coordinates - recorded._context.coordinates

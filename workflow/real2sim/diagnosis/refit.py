@@ -331,7 +331,7 @@ def following(
 ) -> JointResiduals:
     """Return residuals of a hypothesis whose planned forces follow the motion of its free run.
 
-    That motion is ``known`` for the two trials of the fit.
+    ``known``: the evidence is one of the two trials of the fit, whose motions the hypothesis holds.
     """
     problem = JointResiduals(evidence, hypothesis.effects, system, coarse=coarse)
     if known and hypothesis.motions:
@@ -388,7 +388,6 @@ def refit_freely(residuals: JointResiduals, start: np.ndarray, *, iterations: in
         gain, best, least = 1 - cost / least, z, cost
         if gain < ftol:
             break
-    residuals.follow(best)
     return best
 
 

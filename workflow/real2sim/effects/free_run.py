@@ -44,6 +44,7 @@ class FreeRuns:
     _context: Context
     _scales: Scales
     planned_from: Context
+    # whether `_context` is already that of a free run
     _follows = False
 
     def run_effects(self, parameters: np.ndarray, x: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -1007,9 +1007,10 @@ def _answers(study: Study) -> str:
     listed = _listed([f"{name} ({n})" for name, n in counts])
     closed = [share for d in study.diagnoses if (share := chi2_closed(d)) is not None]
     one = len(study.diagnoses) == 1
-    text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if one:
         text = f"The answer for the one person who was diagnosed: {answer_words(study.diagnoses[0])}."
+    else:
+        text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if closed:
         text += (
             f" What was found, a cause or a measured law, closes {percent(statistics.median(closed))} of what stands "

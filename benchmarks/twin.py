@@ -119,7 +119,8 @@ def free_walker(policy: Policy, seed: int, study: dict, threads: int) -> list[di
     for p in found["pushes"][1:]:
         print(f"    (not a bar) {p['force_n']:g} N: {p['falls']} falls in {p['minutes']:.0f} minutes")
     largest = found["walk"]["floor_force_peak_bw"]["largest"]
-    print(f"    (not a bar) largest floor force of any stride {largest:.2f} BW")
+    shown = "unknown, nobody walks" if largest is None else f"{largest:.2f} BW"
+    print(f"    (not a bar) largest floor force of any stride {shown}")
     return bar_rows("", found | {"seed": seed, "phantom": True})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import shutil
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from real2sim.study.twin.evaluate import accepted, free_walk, push_battery, push
 from real2sim.study.twin.human import MIRROR, MIRROR_SIGN
 from real2sim.study.twin.policy import load_policy, save_policy, save_reference
 from real2sim.study.twin.train import Trainer, train, twin_train
+from scipy.spatial.transform import Rotation
 
 from tests.unit.walking_person import WHO, reference, twin_settings
 
@@ -141,7 +143,8 @@ def _no_stops(settings: dict) -> dict:
 
 def test_held_pelvises_are_drawn_toward_a_slower_speed():
     settings, env = twin_settings()["training"]["hold"], _env(200)
-    env.hold(_no_stops(settings) | {"share": 0.4, "towed": 0.5})
+    no_springs = dict.fromkeys(settings["stiffness"], 0.0)
+    env.hold(_no_stops(settings) | {"share": 0.4, "towed": 0.5, "stiffness": no_springs})
     damping = env.batch.expand("dof_damping")
     damping = damping if damping.ndim == 2 else damping[..., 0]
     held, whole = damping[:, 0] > 0, damping[:, 1] > 0
@@ -163,6 +166,38 @@ def test_held_pelvises_are_drawn_toward_a_slower_speed():
         seen.append(env._push[:, 1, :2] - np.column_stack([env._drag, np.zeros(200)]))
     assert np.abs(seen).max() <= 100 + 1e-9
     assert 0 < np.mean(np.any(np.array(seen) != 0, axis=2)) < 0.5
+
+
+def test_springs_of_a_hold_pull_to_the_lane_to_the_height_of_standing_and_upright():
+    settings, env = twin_settings()["training"]["hold"], _env(200)
+    env.hold(_no_stops(settings) | {"share": 0.5, "towed": 0.5})
+    env.reset(np.arange(200), 0.0)
+    sideways, up, roll, pitch = 0.03, -0.02, 0.05, -0.04
+    env.lane_y[:] = 0.01
+    env._qpos[:, 1], env._qpos[:, 2] = env.lane_y + sideways, WHO.hip_height + up
+    env._qpos[:, 3:7] = Rotation.from_euler("xy", [roll, pitch]).as_quat(scalar_first=True)
+    env._apply_forces()
+    spring, load = env._spring, env._push[:, 1]
+    damping = env.batch.expand("dof_damping")
+    whole = (damping if damping.ndim == 2 else damping[..., 0])[:, 1] > 0
+    largest = np.array([settings["stiffness"][name] for name in ("lateral", "vertical", "roll", "pitch")])
+    assert np.all(spring[whole] > 0)
+    assert np.all(spring <= largest)
+    assert np.all(spring.max(axis=0) > 0.8 * largest), "nothing is taken off for a body of 75 kg"
+    assert np.all(spring[~whole] == 0), "who is only towed has none"
+    np.testing.assert_allclose(load[:, 1:3], -spring[:, :2] * [sideways, up])
+    np.testing.assert_allclose(load[:, 3:5], -spring[:, 2:] * [roll, pitch], rtol=0.01)
+    assert not load[:, 5].any()
+
+
+@pytest.mark.parametrize(("mass_kg", "share"), [(50.0, 2 / 3), (75.0, 1.0), (110.0, 1.0)])
+def test_a_light_person_is_held_by_softer_springs(mass_kg: float, share: float):
+    hold = twin_settings()["training"]["hold"]
+    env, usual = _env(50), _env(50)
+    env.who = replace(WHO, mass_kg=mass_kg)
+    for each in (env, usual):
+        each.hold(hold | {"share": 1.0, "towed": 0.0})
+    np.testing.assert_allclose(env._spring, share * usual._spring)
 
 
 def test_a_loose_strap_acts_at_its_stops_alone():

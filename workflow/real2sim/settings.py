@@ -891,8 +891,20 @@ TwinTrainingHoldDampingSettings = TypedDict(
     {
         "along": float,
         "lateral": float,
+        "vertical": float,
         "roll": float,
+        "pitch": float,
         "yaw": float,
+    },
+)
+
+TwinTrainingHoldStiffnessSettings = TypedDict(
+    "TwinTrainingHoldStiffnessSettings",
+    {
+        "lateral": float,
+        "vertical": float,
+        "roll": float,
+        "pitch": float,
     },
 )
 
@@ -941,6 +953,7 @@ TwinTrainingHoldSettings = TypedDict(
     {
         "share": float,
         "damping": TwinTrainingHoldDampingSettings,
+        "stiffness": TwinTrainingHoldStiffnessSettings,
         "speed": list[float],
         "yaw_inertia": float,
         "towed": float,

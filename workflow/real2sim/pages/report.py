@@ -488,8 +488,9 @@ def _over_floor(study: Study, name: str) -> float | None:
 def _lead(study: Study) -> str:
     kinds = Counter(study.people.values())
     gates = Counter(_trials(study).values())
+    calibrated = kinds["calibration"]
     text = (
-        f"{kinds['calibration']} people are calibrated"
+        f"{calibrated} {'person is' if calibrated == 1 else 'people are'} calibrated"
         + (f" and {kinds['validation']} kept for validation" if kinds["validation"] else "")
         + f"; of {gates.total()} trials {gates[WARN]} are warned about and {gates[REFUSE]} refused."
     )

@@ -275,6 +275,7 @@ class WalkEnv:
         self._last = np.zeros((nsim, ACTIONS))
         self.push_force = 0.0
         self._drag = np.zeros(nsim)
+        self._spring = np.zeros((nsim, 4))  # lateral, vertical [N/m], roll, pitch [Nm/rad]
         self.stops: Stops | None = None
         self.sustained = False  # whether some pushes last, as a robot's drag does
         self.impulse = np.zeros((nsim, 2))  # push on each pelvis now, forward and to the left [N]
@@ -289,11 +290,13 @@ class WalkEnv:
         self._held_share = np.full(nsim, np.nan)
 
     def hold(self, settings: TwinTrainingHoldSettings) -> None:
-        """Hold the pelvis of a share of the simulations as a robot would: dampers, an inertia, a slower speed.
+        """Hold the pelvis of a share of the simulations as a strap and a robot would: springs, dampers, a slower speed.
 
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
         the path pulls toward a speed within ``speed`` (shares of the person's own); of those held, a share is only
-        towed by it. Another share of the simulations hangs in a strap that does nothing before its stops (`Stops`).
+        towed by it. The others have springs and an inertia in yaw as well. Springs rest in the lane, at the height of
+        standing, upright. Another share of the simulations hangs in a strap that does nothing before its stops
+        (`Stops`).
         """
         rng, n = self.rng, self.nsim
         drawn = rng.uniform(size=n)
@@ -301,9 +304,14 @@ class WalkEnv:
         whole = held & (rng.uniform(size=n) >= settings["towed"])
         damping, armature = self.batch.expand("dof_damping"), self.batch.expand("dof_armature")
         most: Mapping[str, Any] = settings["damping"]
-        for dof, name in ((0, "along"), (1, "lateral"), (3, "roll"), (5, "yaw")):
+        for dof, name in enumerate(("along", "lateral", "vertical", "roll", "pitch", "yaw")):
             some = held if name == "along" else whole
             damping[:, dof] = np.where(some, rng.uniform(0, most[name], n), 0.0)
+        # a strap is no stiffer on a heavy person, but lifts a light one by more of their weight
+        stiffest: Mapping[str, Any] = settings["stiffness"]
+        light = min(1.0, self.who.mass_kg / 75)
+        for axis, name in enumerate(("lateral", "vertical", "roll", "pitch")):
+            self._spring[:, axis] = np.where(whole, light * rng.uniform(0, stiffest[name], n), 0.0)
         armature[:, 5] = np.where(whole, rng.uniform(0, settings["yaw_inertia"], n), 0.0)
         # a damper about a moving frame is a damper about the world and a constant force
         speed = self.reference.speed * self._between(settings["speed"], n)
@@ -413,13 +421,23 @@ class WalkEnv:
             self._push_next[begin] = lasts + self._pause(len(begin))
 
     def _apply_forces(self) -> None:
-        """Write drag, pushes and stops into the simulations."""
-        on_pelvis = self._push[:, 1]
+        """Write drag, springs, pushes and stops into the simulations."""
+        on_pelvis, root = self._push[:, 1], self.root()
         on_pelvis[:] = 0.0
         on_pelvis[:, :2] = self.impulse
         on_pelvis[:, 0] += self._drag
+        turn = root.rotation
+        away = np.column_stack(
+            [
+                root.position[:, 1] - self.lane_y,
+                root.position[:, 2] - self.who.hip_height,
+                turn[:, 2, 1],
+                -turn[:, 2, 0],
+            ]
+        )
+        on_pelvis[:, 1:5] -= self._spring * away
         if self.stops is not None:
-            force = self.stops.force(self.root())
+            force = self.stops.force(root)
             on_pelvis[self.stops.rows, :2] += force[:, :2]
             on_pelvis[self.stops.rows, 5] += force[:, 2]
 

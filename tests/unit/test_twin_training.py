@@ -137,6 +137,28 @@ def test_pushes_begin_last_and_end():
     assert 0.07 <= np.mean(lengths) * env.control_s <= 0.25
 
 
+def test_the_reward_sees_the_floor_in_every_simulation_step():
+    env, alone = _env(16), _env(16)
+    ctrl, floor = (alone.batch.bind(name) for name in ("ctrl", "qfrc_constraint"))
+    for each in (env, alone):
+        each.reset(np.arange(16), 0.0, np.arange(16) / 16)
+    between = 0
+    for _ in range(40):
+        action = _still(env.observation())
+        alone.observation()
+        alone._apply_forces()
+        ctrl[:] = alone.command(action)
+        seen = []
+        for _ in range(alone.substeps):
+            alone.batch.step(nstep=1)
+            seen.append(floor[:, 2] / WHO.weight)
+        alone.advance()
+        env.step(action)
+        np.testing.assert_allclose(env.floor_force_bw(), np.max(seen, axis=0), atol=1e-9)
+        between += int(np.sum(np.max(seen, axis=0) > seen[-1] + 0.1))
+    assert between > 10, "strikes between control steps, or this shows nothing"
+
+
 def _no_stops(settings: dict) -> dict:
     return settings | {"stops": settings["stops"] | {"share": 0.0}}
 

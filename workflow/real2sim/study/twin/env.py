@@ -483,7 +483,7 @@ class WalkEnv:
         """Largest vertical force of the floor in the simulation steps of the last control step (nsim,) [body weights].
 
         A strike lasts for few of them, and an examination looks at each: a walker that is judged by one step of every
-        control step learns to strike between those.
+        control step can strike between those unpunished.
         """
         return self._floor_force / self.who.weight
 

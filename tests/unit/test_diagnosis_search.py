@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Lock
 from types import SimpleNamespace
 
 import numpy as np
@@ -62,6 +63,7 @@ class _Stuck(Search):
     samples = (2880, 2880)
     samples_by_sensor = ((2880,), (2880,))
     on_floor = (False,)
+    threads, _counting = 1, Lock()
 
     def __init__(self, start: float = 0.01, cost: float = FAILED):
         self.asked = []
@@ -151,7 +153,7 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     friction = placed_whole("coulomb")
 
     class Trial:
-        samples, samples_by_sensor, noise_by_sensor = 2880, (2880,), (2880.0,)
+        samples, samples_by_sensor, noise_by_sensor, threads = 2880, (2880,), (2880.0,), 1
 
         def noise_through(self, effects, parameters, x, draws, seed):
             assert [p.key for p in effects] == [friction.key]

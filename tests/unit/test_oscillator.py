@@ -52,3 +52,5 @@ def test_half_a_gram_too_much_is_found_and_none_is_not(system, heavier, verdict)
     if verdict != "none":
         (mass,) = (v["value"] for k, v in answer.answer.causes[0].parameters.items() if k.startswith("mass"))
         assert mass == pytest.approx((heavier - 1) * MASS, rel=0.1)
+        again = r2s.diagnose(system, train=train, held_out=held_out, progress=lambda text: None, threads=2)
+        assert again.answer.to_dict() == answer.answer.to_dict()

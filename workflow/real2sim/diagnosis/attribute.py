@@ -5,7 +5,7 @@ What takes part is refitted on one trial and judged on the other (`search`); wha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,6 +19,7 @@ from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, are_confusable
 from real2sim.errors import InputError
 from real2sim.inference import least_squares
+from real2sim.parallel import in_threads
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -88,13 +89,19 @@ def plain_fit(
     InputError
         Naming the recording, where it can be simulated from none of them.
     """
-    problem = PlainResiduals(evidence, system)
     rng = np.random.default_rng(settings["seed"])
-    drawn = (rng.uniform(problem.lower, problem.upper) for _ in range(settings["screen"]))
+    drawn = [rng.uniform(*system.bounds()) for _ in range(settings["screen"])]
+
+    def from_each(points: Sequence[np.ndarray], iterations: int) -> list[tuple[np.ndarray, float]]:
+        return in_threads(
+            evidence.threads,
+            lambda point: _plainly(PlainResiduals(evidence, system), point, settings, iterations),
+            points,
+        )
+
     # a start of low cost need not lead to a low one: of a resonance, far too much damping is nearer than another pitch
-    first = [_plainly(problem, point, settings, settings["first_iterations"]) for point in (start, *drawn)]
-    first.sort(key=lambda found: found[1])
-    finished = [_plainly(problem, z, settings, settings["iterations"]) for z, _ in first[:2]]
+    first = sorted(from_each([start, *drawn], settings["first_iterations"]), key=lambda found: found[1])
+    finished = from_each([z for z, _ in first[:2]], settings["iterations"])
     z, cost = min(finished, key=lambda found: found[1])
     if not np.isfinite(cost):
         raise _unsimulated(evidence, system)
@@ -350,15 +357,13 @@ def _alone(
     """
     if quiet:
         shortlist = shortlist[: settings["quiet_refits"]]
-    found: list[Hypothesis] = []
-    for screened in shortlist:
-        best = min(found, key=lambda h: sum(h.chi2), default=plain)
+    # the first are fitted in any case
+    first = settings["pair_rivals"]
+    found = in_threads(search.threads, lambda one: _single(search, one, plain), shortlist[:first])
+    for screened in shortlist[first:]:
+        best = min(found, key=lambda h: sum(h.chi2))
         rival = any(_alike(placed, screened.effects[-1]) for placed in best.effects)
-        if (
-            len(found) >= settings["pair_rivals"]
-            and not rival
-            and _behind(search, screened, best, plain, settings)
-        ):
+        if not rival and _behind(search, screened, best, plain, settings):
             continue
         found.append(_single(search, screened, plain))
     if not found:
@@ -526,15 +531,14 @@ def _pairs(
     # an effect that acts on one axis is likely to act on another, however little that promises while it is alone
     for single in singly[: settings["spread_refits"]]:
         options += search.screen(single, _elsewhere(single, [s.effects[-1] for s in singles]))[:1]
-    out: list[Hypothesis] = []
-    seen = set()
-    for option in sorted(options, key=lambda s: s.predicted):
-        key = _keys(option.effects)
-        # once a pair leaves nothing but noise, a few rivals are enough
-        done = len(out) >= settings["pair_rivals"] and search.is_noise(min(out, key=lambda h: sum(h.chi2)))
-        if key not in seen and not done:
-            seen.add(key)
-            out.append(search.fit_screened(option))
+    unlike = _first_of_each(sorted(options, key=lambda s: s.predicted), lambda s: _keys(s.effects))
+    # once a pair leaves nothing but noise, a few rivals are enough
+    few = settings["pair_rivals"]
+    out = in_threads(search.threads, search.fit_screened, unlike[:few])
+    for option in unlike[few:]:
+        if search.is_noise(min(out, key=lambda h: sum(h.chi2))):
+            break
+        out.append(search.fit_screened(option))
     return sorted(out, key=lambda h: sum(h.chi2)), promising
 
 
@@ -551,9 +555,9 @@ def _without(places: Sequence[Placed], hypothesis: Hypothesis) -> list[Placed]:
     return [placed for placed in places if placed.key not in taken]
 
 
-def _first_of_each(items: Sequence[T], name: Callable[[T], str]) -> list[T]:
+def _first_of_each(items: Sequence[T], name: Callable[[T], Hashable]) -> list[T]:
     """The first of the items of every name, in their order."""
-    first: dict[str, T] = {}
+    first: dict[Hashable, T] = {}
     for item in items:
         first.setdefault(name(item), item)
     return list(first.values())

@@ -411,7 +411,8 @@ class DescribedTrial:
                 setups[parts] = self.setup(parts)
             return setups[parts]
 
-        simulated = Simulated(self._system, setup, draw, bool((sd > _TINY).any()), base)
+        shaken = bool((sd > _TINY).any())
+        simulated = Simulated(self._system, setup, draw, shaken, base, self._threads)
         measured = self._measured()
         q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))

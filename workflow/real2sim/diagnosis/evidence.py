@@ -117,6 +117,10 @@ class Evidence(Protocol):
         """Model of the segment's markers by each other; None where they do not determine one."""
 
     @property
+    def threads(self) -> int:
+        """Threads that may work at a time."""
+
+    @property
     def noise(self) -> np.ndarray:
         """Simulated residuals (draws, n, c) of a perfect model."""
 

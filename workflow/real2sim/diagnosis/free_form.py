@@ -39,6 +39,7 @@ from real2sim.effects.free_run import feed_back
 from real2sim.effects.planned import FamilyForce
 from real2sim.inference.least_squares import Tangent
 from real2sim.memory import give_back
+from real2sim.parallel import in_threads
 
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisFreeFormSettings, DiagnosisSearchSettings
@@ -74,9 +75,11 @@ class _ByPath(Generic[_Made]):
                 if (i, steps) not in self._of_trials:
                     self._of_trials[i, steps] = make()
                 return self._of_trials[i, steps]
-        if self._latest is None or self._latest[0] is not path or self._latest[1] != steps:
-            self._latest = path, steps, make()
-        return self._latest[2]
+        # another thread may put its own path there meanwhile
+        latest = self._latest
+        if latest is None or latest[0] is not path or latest[1] != steps:
+            self._latest = latest = path, steps, make()
+        return latest[2]
 
 
 class Library:
@@ -363,7 +366,11 @@ class Slopes:
 
 def slopes(pair: Pair, library: Library, base: Hypothesis) -> Slopes:
     """Return the slopes of both trials at a hypothesis by basis functions and displacements."""
-    fitted, held_out = (_slopes_of(evidence, library, base) for evidence in (pair.train, pair.held_out))
+    fitted, held_out = in_threads(
+        pair.train.threads,
+        lambda evidence: _slopes_of(evidence, library, base),
+        (pair.train, pair.held_out),
+    )
     return Slopes(fitted, held_out, *fitted.responses.priors)
 
 
@@ -789,7 +796,7 @@ def measure(
     chosen = [smoothed(s, known, library, base, longest) for s in _diverse(within, options["refits"])]
     # linearised simulations, that nothing below asks for
     del known
-    laws = [trial.refitted((), s, base) for s in chosen]
+    laws = in_threads(search.threads, lambda s: trial.refitted((), s, base), chosen)
     laws = sorted(laws, key=lambda law: -law.gain)
     for law in (law for law in laws[:3] if np.isfinite(law.gain)):
         progress(f"{_named(law)}: ln evidence +{law.gain:.0f}")

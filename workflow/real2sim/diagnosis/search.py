@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ from real2sim.effects.catalogue import Placed
 from real2sim.effects.free_run import feed_back
 from real2sim.inference.least_squares import Tangent, bounded_step
 from real2sim.memory import give_back
+from real2sim.parallel import in_threads
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -130,8 +132,19 @@ class Search:
         self.pair, self._settings = pair, settings
         self._progress = progress or (lambda text: None)
         self.evaluations = 0
+        self._counting = Lock()
         self._noise: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
         self._screened_from: Tangent | None = None
+
+    @property
+    def threads(self) -> int:
+        """Hypotheses that are tried at a time."""
+        return self.pair.train.threads
+
+    def _count(self, evaluations: int) -> None:
+        """Add to ``evaluations``, which several threads do."""
+        with self._counting:
+            self.evaluations += evaluations
 
     def fit(
         self,
@@ -171,7 +184,7 @@ class Search:
             judged = [(failed(len(left)), FAILED) for left, _ in judged]
             occam = 0.0
         count = residuals.evaluations + held_out.evaluations
-        self.evaluations += count
+        self._count(count)
         (train, j_train), (other, j_other) = judged
         left = sum(train), sum(other)
         give_back()
@@ -245,9 +258,10 @@ class Search:
         if key not in self._noise:
             parameters, x = self.pair.system.values(hypothesis.base), hypothesis.split()
             settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
-            both = self.pair.train.noise_through(*settled), self.pair.held_out.noise_through(*settled)
-            self.evaluations += 2 * BATCH
-            self._noise[key] = both
+            trials = (self.pair.train, self.pair.held_out)
+            train, held_out = in_threads(self.threads, lambda trial: trial.noise_through(*settled), trials)
+            self._count(2 * BATCH)
+            self._noise[key] = train, held_out
         return self._noise[key]
 
     def is_noise(self, hypothesis: Hypothesis) -> bool:
@@ -296,7 +310,7 @@ class Search:
         if near:
             z = np.vstack([z, _carried_starts(effects[-1], base, near)])
         costs = self._residuals(effects).costs(z)
-        self.evaluations += len(z)
+        self._count(len(z))
         costs = np.where(np.isfinite(costs), costs, FAILED)
         best = int(np.argmin(costs))
         return z[best], float(costs[best])
@@ -317,7 +331,7 @@ class Search:
         points = scipy.stats.qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
         z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
         costs = self._residuals(effects).costs(z)
-        self.evaluations += len(z)
+        self._count(len(z))
         costs = np.where(np.isfinite(costs), costs, FAILED)
         order = np.argsort(costs, kind="stable")
         return z[order], costs[order]
@@ -333,7 +347,7 @@ class Search:
             z = np.concatenate([base, weaker])
             if np.isfinite(residuals.costs(z[None])[0]):
                 break
-        self.evaluations += residuals.evaluations
+        self._count(residuals.evaluations)
         return z
 
     def mark_spikes(self, best: Hypothesis) -> bool:
@@ -354,16 +368,11 @@ class Search:
         problem = self._residuals(base.effects)
         here = Tangent(base.z, *problem.with_jacobian(base.z, np.arange(len(base.z))))
         self._screened_from = here
-        out = []
-        for placed in places:
-            effects = (*base.effects, placed)
-            if conflict(effects):
-                continue
-            found = self._screen_one(effects, here)
-            if found is not None:
-                out.append(found)
-        self.evaluations += problem.evaluations
-        return sorted(out, key=lambda s: s.predicted)
+        self._count(problem.evaluations)
+        sets = [(*base.effects, placed) for placed in places]
+        sets = [effects for effects in sets if not conflict(effects)]
+        found = in_threads(self.threads, lambda effects: self._screen_one(effects, here), sets)
+        return sorted((one for one in found if one is not None), key=lambda s: s.predicted)
 
     def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
         """Predicted cost of the last effect beside the others, on the tangent at the best of its starts."""
@@ -392,7 +401,7 @@ class Search:
             # a tangent that predicts more than the fit without the effect leaves was taken too far off
             if min((s.predicted for s in found), default=np.inf) <= nothing:
                 break
-        self.evaluations += residuals.evaluations
+        self._count(residuals.evaluations)
         return min(found, key=lambda s: s.predicted, default=None)
 
     def _promising_start(

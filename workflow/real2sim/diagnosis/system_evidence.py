@@ -76,7 +76,8 @@ Draw = Callable[[int, int, int], np.ndarray]
 class Simulated:
     """Simulation of a trial: ``setup`` by the number of parts of a time step, and ``draw`` of a shaken drive.
 
-    ``draw`` maps (seed, number, parts) to a command (nstep, c); ``shaken`` is whether the drive has noise at all.
+    ``draw`` maps (seed, number, parts) to a command (nstep, c); ``shaken`` is whether the drive has noise at all;
+    ``threads`` may work at a time.
     """
 
     system: System
@@ -84,6 +85,7 @@ class Simulated:
     draw: Draw
     shaken: bool
     base_step_s: float
+    threads: int = 1
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,11 @@ class SystemEvidence:
     def noise_by_sensor(self) -> tuple[float, ...]:
         """Mean chi-squared of simulated noise by sensor."""
         return self._whitening.of_noise_by_sensor(self.sensors.values())
+
+    @property
+    def threads(self) -> int:
+        """As of `Evidence`."""
+        return self.simulated.threads
 
     @property
     def noise(self) -> np.ndarray:

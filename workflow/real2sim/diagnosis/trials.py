@@ -38,6 +38,7 @@ from real2sim.diagnosis.search import Pair, Search, samples_by_sensor
 from real2sim.diagnosis.sensors import above, pooled
 from real2sim.effects.catalogue import Placed
 from real2sim.errors import InputError
+from real2sim.parallel import in_threads
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -186,7 +187,10 @@ class Outcome:
 
 
 def _with_noise(pair: Pair, parameters: np.ndarray, draws: int, seed: int) -> Pair:
-    train, held_out = (e.with_noise(parameters, draws, seed) for e in (pair.train, pair.held_out))
+    both = (pair.train, pair.held_out)
+    train, held_out = in_threads(
+        pair.train.threads, lambda evidence: evidence.with_noise(parameters, draws, seed), both
+    )
     return replace(pair, train=train, held_out=held_out)
 
 

@@ -23,10 +23,11 @@ def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.nd
     start = context.pelvis_rotation[0]
     shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
     seen = start.T @ context.pelvis_rotation
-    angles, slope = np.zeros((len(context.pelvis_rotation), 3)), np.eye(3) + turn
+    angles = np.zeros((len(context.pelvis_rotation), 3))
     for _ in range(_BONE_ROUNDS):
-        rest = Rotation.from_matrix(_from_cardan(angles).swapaxes(1, 2) @ seen).as_rotvec() - angles @ turn.T
-        correction = np.linalg.solve(slope, rest.T).T
+        bone = seen @ Rotation.from_rotvec(-angles @ turn.T).as_matrix()
+        rest = _small_turn(_from_cardan(angles).swapaxes(1, 2) @ bone)
+        correction = np.linalg.solve(_cardan_slope(angles) + turn, rest[..., None])[..., 0]
         angles = angles + correction
         if np.abs(correction).max() < _FOUND:
             break
@@ -54,6 +55,19 @@ def _from_cardan(angles: np.ndarray) -> np.ndarray:
     """Return rotations R_z R_y R_x (n, 3, 3) of Cardan angles (n, 3) [rad] about x, y, z."""
     # the inverse turns back in the other order
     return rotation_xyz(-angles).swapaxes(1, 2)
+
+
+def _cardan_slope(angles: np.ndarray) -> np.ndarray:
+    """Return the turn about its own axes that a change of each of the Cardan angles (n, 3) makes, (n, 3, 3)."""
+    (sx, sy), (cx, cy) = np.sin(angles[:, :2].T), np.cos(angles[:, :2].T)
+    zero = np.zeros(len(angles))
+    rows = [[zero + 1, zero, -sy], [zero, cx, cy * sx], [zero, -sx, cy * cx]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _small_turn(rotation: np.ndarray) -> np.ndarray:
+    """Return what turns (n, 3, 3) about, times the sine of the angle, (n, 3): the turn itself where it is small."""
+    return np.asarray(0.5 * (rotation[:, [2, 0, 1], [1, 2, 0]] - rotation[:, [1, 2, 0], [2, 0, 1]]))
 
 
 _SKIN = (

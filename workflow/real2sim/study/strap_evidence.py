@@ -183,6 +183,11 @@ class StrapEvidence:
         return self._whitening.of_noise_by_sensor(self.sensors.values())
 
     @property
+    def threads(self) -> int:
+        """As of `Evidence`."""
+        return self.setup.threads
+
+    @property
     def noise(self) -> np.ndarray:
         """Simulated residuals (draws, n, c) of a perfect model [m, rad]."""
         return self._whitening.noise

@@ -219,3 +219,22 @@ def test_opensim_pelvis_axes():
     assert rotation[2][2, 1] > 0
     assert rotation[3][1, 0] > 0
     np.testing.assert_allclose(geometry.angles_xyz(rotation[3]), [0, 0, 0.1], atol=1e-12)
+
+
+def test_correlation_at_every_lag_is_that_of_the_overlap():
+    rng = np.random.default_rng(3)
+    x, y = rng.normal(2.0, 1.0, 40), rng.normal(-1.0, 3.0, 25)
+    lags, found, count = signals.correlation_at_lags(x, y, 1e-12)
+    np.testing.assert_array_equal(lags, np.arange(-24, 40))
+    for lag, value, samples in zip(lags, found, count, strict=True):
+        rows = np.arange(max(0, lag), min(40, 25 + lag))
+        assert len(rows) == samples
+        if samples > 2:
+            np.testing.assert_allclose(value, np.corrcoef(x[rows], y[rows - lag])[0, 1], atol=1e-10)
+
+
+def test_sums_of_runs():
+    values = np.arange(10.0).reshape(5, 2)
+    np.testing.assert_array_equal(
+        signals.sums_of_runs(values, np.array([0, 0, 3, 4, 4])), [[2, 4], [4, 5], [14, 16]]
+    )

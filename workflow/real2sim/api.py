@@ -273,6 +273,7 @@ def diagnose(
     such as the trial that an answer proposed; ``quiet`` and ``settings`` as of `identify`. ``others`` are other models
     of the machine, by a name of yours, which read the same columns: evidence tells which of all was recorded, and the
     answer is that with the likeliest. ``progress`` is called with a line now and then, by default it goes to stderr.
+    ``threads`` simulate and try effects side by side; the answer is the same with any number of them.
 
     Raises
     ------

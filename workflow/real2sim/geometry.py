@@ -79,7 +79,12 @@ def relative_pose(
 def mean_rotation(rotations: np.ndarray) -> np.ndarray:
     """Return the chordal mean of rotations (n, 3, 3), rows with NaN left out."""
     good = np.isfinite(rotations).all(axis=(1, 2))
-    u, _, vt = np.linalg.svd(rotations[good].mean(axis=0))
+    return nearest_rotation(rotations[good].mean(axis=0))
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) nearest to a matrix (3, 3) in the Frobenius norm (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 

@@ -127,6 +127,37 @@ def derivative(values: np.ndarray, rate_hz: float) -> np.ndarray:
     return out
 
 
+def correlation_at_lags(
+    x: np.ndarray, y: np.ndarray, floor: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lags (n + m - 1,) of y (m,) in x (n,), Pearson's correlation there and the samples it rests on.
+
+    Row i of y belongs to row i + lag of x; means and variances are those of the overlap. ``floor``, times the sum of
+    squares of either, is the least product of the two variances that is divided by.
+    """
+    n, m = len(x), len(y)
+    lags = np.arange(n + m - 1) - (m - 1)
+    first, last = np.maximum(0, lags), np.minimum(n, m + lags)
+    count = last - first
+    mean_x, power_x = _moments(x, first, last)
+    mean_y, power_y = _moments(y, first - lags, last - lags)
+    product = scipy.signal.fftconvolve(x, y[::-1]) - mean_x * mean_y * count
+    least = floor * np.sum(x * x) * np.sum(y * y)
+    return lags, product / np.sqrt(np.maximum(power_x * power_y, least)), count
+
+
+def _moments(x: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and sum of squares about it of the stretches from ``first`` up to ``last`` (k,) of x (n,)."""
+    sums, squares = (np.concatenate([[0.0], np.cumsum(values)]) for values in (x, x * x))
+    mean = (sums[last] - sums[first]) / (last - first)
+    return mean, squares[last] - squares[first] - mean**2 * (last - first)
+
+
+def sums_of_runs(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the sum of each run of rows of ``values`` (n, k) with one label (n,), shape (runs, k)."""
+    return np.add.reduceat(values, np.flatnonzero(np.diff(labels, prepend=labels[0] - 1)), axis=0)
+
+
 def resample(
     time_s: np.ndarray, values: np.ndarray, new_time_s: np.ndarray, max_gap_s: float = np.inf
 ) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
 from real2sim.effects.chains import Chains, Context
-from real2sim.geometry import rotation_xyz
+from real2sim.geometry import angles_xyz, rotation_xyz
 
 # Most Newton iterations in which the bone's angles are found whose skin shows the measured ones, and the correction
 # [rad] after which there is none: far below what a marker shows
@@ -23,8 +23,8 @@ def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.nd
     start = context.pelvis_rotation[0]
     shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
     seen = start.T @ context.pelvis_rotation
-    # a bone that is turned far is sought from where the skin is
-    angles = _cardan(seen)
+    # a bone that is turned far is sought from where the skin is; angles as `_from_cardan` takes them
+    angles = -angles_xyz(seen.swapaxes(1, 2))
     for _ in range(_BONE_ROUNDS):
         bone = seen @ Rotation.from_rotvec(-angles @ turn.T).as_matrix()
         rest = _small_turn(_from_cardan(angles).swapaxes(1, 2) @ bone)
@@ -56,13 +56,6 @@ def _from_cardan(angles: np.ndarray) -> np.ndarray:
     """Return rotations R_z R_y R_x (n, 3, 3) of Cardan angles (n, 3) [rad] about x, y, z."""
     # the inverse turns back in the other order
     return rotation_xyz(-angles).swapaxes(1, 2)
-
-
-def _cardan(rotation: np.ndarray) -> np.ndarray:
-    """Return the angles (n, 3) [rad] that `_from_cardan` makes rotations (n, 3, 3) of, about y within a right angle."""
-    about_x = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2])
-    about_y = np.arcsin(np.clip(-rotation[:, 2, 0], -1.0, 1.0))
-    return np.column_stack([about_x, about_y, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])])
 
 
 def _cardan_slope(angles: np.ndarray) -> np.ndarray:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation
 
-from real2sim.signals import derivative, known, lowpass
+from real2sim.geometry import nearest_rotation
+from real2sim.signals import correlation_at_lags, derivative, known, lowpass, sums_of_runs
 
 # OpenSim ground (X forward, Y up, Z right) to world (x forward, y left, z up).
 OPENSIM_TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -21,6 +21,7 @@ _LEVER_M = 0.1  # weighs rotations against positions: half the width of a pelvis
 # How far the two systems' pelvis frames may plausibly be turned and shifted against each other.
 _FRAME_PRIOR_RAD, _FRAME_PRIOR_M = 0.3, 0.05
 _MIN_OVERLAP = 0.5  # of the shorter record
+_LEAST_VARIANCE = 1e-6  # of an overlap, over the whole record's: below it nothing moves there
 _AT_REST = 1e-6  # SD of a speed [m/s, rad/s] that is rounding and no movement
 # Both systems are smoothed alike before they are laid on each other: a pelvis moves below 5 Hz, a markerless
 # system's noise does not.
@@ -101,22 +102,15 @@ def correlate(ours: np.ndarray, other: np.ndarray) -> tuple[int, float]:
     correlation over the overlap is taken; lags with less than half the shorter record in common are left out.
     """
     n, m = len(ours), len(other)
-    total = np.zeros(n + m - 1)
+    total, used = np.zeros(n + m - 1), 0
     lags = np.arange(n + m - 1) - (m - 1)
-    count = np.minimum(n, m + lags) - np.maximum(0, lags)
-    used = 0
     for x, y in zip(ours.T, other.T, strict=True):
         if min(np.nanstd(x), np.nanstd(y)) < _AT_REST:
             continue
         x, y = np.nan_to_num(x - np.nanmean(x)), np.nan_to_num(y - np.nanmean(y))
-        ones_x, ones_y = np.ones(n), np.ones(m)[::-1]
-        sum_x, sum_y = fftconvolve(x, ones_y), fftconvolve(ones_x, y[::-1])
-        square_x, square_y = fftconvolve(x * x, ones_y), fftconvolve(ones_x, (y * y)[::-1])
-        product = fftconvolve(x, y[::-1]) - sum_x * sum_y / count
-        norm = (square_x - sum_x**2 / count) * (square_y - sum_y**2 / count)
-        floor = 1e-6 * (np.sum(x * x) * np.sum(y * y))
-        total += product / np.sqrt(np.maximum(norm, floor))
+        total += correlation_at_lags(x, y, _LEAST_VARIANCE)[1]
         used += 1
+    count = np.minimum(n, m + lags) - np.maximum(0, lags)
     total[count < _MIN_OVERLAP * min(n, m)] = -np.inf
     best = int(np.argmax(total))
     return int(lags[best]), float(total[best] / max(used, 1))
@@ -214,16 +208,15 @@ def align_pelvis(
     middle = float(t.mean())
     drift, body, lever = 0.0, np.eye(3), np.zeros(3)
     p, r = pose.at(t - offset_s)
-    ground = _nearest_rotation(np.einsum("nij,nkj->ik", r_ours, r))
+    ground = nearest_rotation(np.einsum("nij,nkj->ik", r_ours, r))
     shift = (p_ours - p @ ground.T).mean(axis=0)
     columns = [*([0] if with_time else []), *([1] if with_time and with_drift else []), *range(2, 14)]
-    variance = np.full(14, np.inf)
     for _ in range(20):
         t_other = np.clip(t - offset_s - drift * (t - middle), other_time_s[0], other_time_s[-1])
         residual, jacobian = _pelvis_system(
             pose, t_other, t - middle, r_ours, p_ours, ground, shift, body, lever
         )
-        step, variance[columns] = _pelvis_step(residual, jacobian, columns, t, body, lever)
+        step, inverse, weight = _pelvis_step(residual, jacobian, columns, body, lever)
         offset_s, drift = offset_s + float(np.clip(step[0], -0.1, 0.1)), drift + float(step[1])
         ground = Rotation.from_rotvec(step[2:5]).as_matrix() @ ground
         shift = shift + step[5:8]
@@ -231,6 +224,8 @@ def align_pelvis(
         lever = lever + step[11:14]
         if abs(step[0]) < 1e-7 and np.abs(step[1:]).max() < 1e-7:
             break
+    variance = np.full(14, np.inf)
+    variance[columns] = _variances(inverse, residual, jacobian[:, columns] / weight, t)
     t_other = np.clip(t - offset_s - drift * (t - middle), other_time_s[0], other_time_s[-1])
     p, r = pose.at(t_other)
     error = (p + r @ lever) @ ground.T + shift - p_ours
@@ -245,11 +240,10 @@ def _pelvis_step(
     residual: np.ndarray,
     jacobian: np.ndarray,
     columns: list[int],
-    t: np.ndarray,
     body: np.ndarray,
     lever: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Newton step (14,), 0 where an unknown is not among ``columns``, and the variances of those."""
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Gauss-Newton step (14,), 0 where an unknown is not among ``columns``, their covariance, the mean square left."""
     weight = max(float(residual @ residual) / len(residual), 1e-12)
     normal = jacobian.T @ jacobian / weight
     gradient = jacobian.T @ residual / weight
@@ -260,7 +254,7 @@ def _pelvis_step(
     inverse = np.linalg.pinv(normal[np.ix_(columns, columns)], rcond=1e-13, hermitian=True)
     step = np.zeros(14)
     step[columns] = -inverse @ gradient[columns]
-    return step, _variances(inverse, residual, jacobian[:, columns] / weight, t)
+    return step, inverse, weight
 
 
 def _pelvis_system(
@@ -302,18 +296,11 @@ def _variances(inverse: np.ndarray, residual: np.ndarray, jacobian: np.ndarray, 
     """
     block = np.floor(t - t[0]).astype(int)
     scores = (jacobian * residual[:, None]).reshape(len(t), -1, jacobian.shape[1]).sum(axis=1)
-    sums = np.zeros((block[-1] + 1, jacobian.shape[1]))
-    np.add.at(sums, block, scores)
-    count = max(len(np.unique(block)), 2)
+    sums = sums_of_runs(scores, block)
+    count = max(len(sums), 2)
     clustered = np.diag(inverse @ (sums.T @ sums) @ inverse) * count / (count - 1)
     white = np.diag(inverse) / min(1.0, 2 * _CUTOFF_HZ / _rate(t))
     return np.maximum(clustered, white)
-
-
-def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    u, _, vt = np.linalg.svd(matrix)
-    rotation: np.ndarray = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation
 
 
 def rebuild_point(points: np.ndarray, model: np.ndarray, missing: int) -> tuple[np.ndarray, np.ndarray]:

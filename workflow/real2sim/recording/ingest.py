@@ -460,7 +460,7 @@ def _check_pelvises(trial: _Trial, ours: alignment.PelvisPath, other: alignment.
 
 
 def _robot(
-    trial: _Trial, clock: np.ndarray, positions: dict[str, np.ndarray]
+    trial: _Trial, clock: np.ndarray, positions: dict[str, np.ndarray], log: RobotLog | None
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None, dict[str, Any]]:
     """Robot columns on the Qualisys clock, the arm's up axis (n, 3) in the world, the report."""
     names = [*(f"base_{c}" for c in ("x", "y", "yaw", "vx", "vy", "wz")), *ARM_JOINTS]
@@ -468,7 +468,8 @@ def _robot(
     if trial.log is None:
         trial.note("no_robot_log", "info", trial.tsv, "", "no robot log", "robot columns empty")
         return {name: np.full(len(clock), np.nan) for name in names}, None, {"status": "no robot log"}
-    log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
+    if log is None:
+        log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
     trial.findings.extend(log.findings)
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
@@ -681,6 +682,7 @@ def ingest_trial(
     settings: IngestSettings,
     phantom: bool,
     out: Path,
+    log: RobotLog | None = None,
 ) -> dict[str, Any]:
     """Write one trial's raw exports as tables on the Qualisys clock, and return what its quality.json says.
 
@@ -692,8 +694,9 @@ def ingest_trial(
         The lab's marker names and ours for them.
     settings
         The slice ``ingest`` of the configuration.
-    out
+    out, log
         Folder for quality.json and {markers,pose,joints,robot}.parquet (SI units; each column's metadata has its own).
+        The robot log where it has been read before.
 
     Raises InputError where a file cannot be used.
     """
@@ -706,18 +709,16 @@ def ingest_trial(
     model = reference["pelvis_geometry"] if reference else _pelvis_geometry(positions)
     pelvis = _pelvis(work, clock, positions, model)
     _check_standing(work, positions, pelvis, reference)
-    robot, up, robot_report = _robot(work, clock, positions)
+    robot, up, robot_report = _robot(work, clock, positions, log)
     joints, markerless_report = _joints(work, clock, *pelvis, marker_names)
     interface, up_axis = _interface(work, clock, positions, up, reference)
     q, rest = _interface_coordinates(work, pelvis, interface, reference)
-
     poses = _pose_columns(clock, {"pelvis": pelvis, "interface": interface}, q, settings["rate_hz"])
     time: Columns = {"time_s": (clock, "s", "qualisys")}
     _write_table(out / "markers.parquet", work, _marker_columns(clock, positions, flags), {})
     _write_table(out / "pose.parquet", work, poses, {"rest": rest})
     _write_table(out / "joints.parquet", work, time | joints, {})
     _write_table(out / "robot.parquet", work, time | _robot_columns(robot), _turn_of(robot_report))
-
     quality = _summary(work, clock, q) | {
         "markers": marker_report,
         "markers_rate_hz": recording.rate_hz,

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 from real2sim.errors import InputError
 from real2sim.recording.formats.recordings import Finding
@@ -61,8 +61,7 @@ class Contents:
     findings: list[Finding] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class RawMessage:
+class RawMessage(NamedTuple):
     """One message: times [ns], not decoded."""
 
     channel: Channel
@@ -230,7 +229,9 @@ class _Section:
             inside += 9
             if count > len(records) - inside:
                 raise ValueError("a record longer than its chunk")
-            if opcode in (_SCHEMA, _CHANNEL, _MESSAGE):
+            if opcode == _MESSAGE:
+                yield self._message(records[inside : inside + count])
+            elif opcode in (_SCHEMA, _CHANNEL):
                 yield from self._record(at, opcode, records[inside : inside + count])
             inside += count
 

@@ -17,6 +17,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from real2sim import signals
+from real2sim.geometry import rotation_xyz
 from real2sim.recording import alignment
 from real2sim.recording.formats.recordings import RobotLog
 
@@ -98,9 +99,8 @@ def solve(jacobian: np.ndarray, residual: np.ndarray, cluster: np.ndarray) -> tu
     step = -inverse @ (design.T @ residual)
     left = residual + design @ step
     white = np.diag(inverse) * np.sum(left**2) / max(len(left) - design.shape[1], 1)
-    sums = np.zeros((int(cluster.max()) + 1, design.shape[1]))
-    np.add.at(sums, cluster, design * left[:, None])
-    count = max(len(np.unique(cluster)), 2)
+    sums = signals.sums_of_runs(design * left[:, None], cluster)
+    count = max(len(sums), 2)
     clustered = np.diag(inverse @ (sums.T @ sums) @ inverse) * count / (count - 1)
     return step / scale, np.maximum(white, clustered) / scale**2
 
@@ -142,8 +142,9 @@ class _Arm:
         x, y, yaw, lift, roll, pitch = self.spline(time_s).T
         if joints_s is not None and joints_s is not time_s:
             lift, roll, pitch = self.spline(joints_s).T[3:]
-        base = Rotation.from_euler("z", yaw[:, None]).as_matrix()
-        arm = base @ Rotation.from_euler("XY", np.column_stack([roll, pitch])).as_matrix()
+        zero = np.zeros(len(yaw))
+        base = rotation_xyz(np.column_stack([zero, zero, yaw]))
+        arm = base @ rotation_xyz(np.column_stack([roll, pitch, zero]))
         return np.column_stack([x, y, lift]), base, arm, yaw
 
 
@@ -512,7 +513,6 @@ def _clustered(
     """Variances (2,) clustered by the second: what the estimated weights and autoregression may have missed."""
     scores = sum(w * a * (b - a @ beta)[:, None] for w, (a, b) in zip(weight, parts, strict=True))
     cluster = np.floor((time_s - time_s[0]) / _CLUSTER_S).astype(int)
-    sums = np.zeros((int(cluster.max()) + 1, 2))
-    np.add.at(sums, cluster, scores)
-    count = max(len(np.unique(cluster)), 2)
+    sums = signals.sums_of_runs(scores, cluster)
+    count = max(len(sums), 2)
     return np.diag(inverse @ (sums.T @ sums) @ inverse) * count / (count - 1)

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.signal import fftconvolve, find_peaks
+from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from real2sim import geometry, signals
 
@@ -26,6 +25,7 @@ _BAND_HZ = 2.0  # of the stored path: no filter of a lab reaches down to here
 _EDGE_S = 0.75  # where the filter has only one side
 _UNIT_M = 1e-6  # of the stored path
 # numerical: how the difference is found, not what it means
+_LEAST_VARIANCE = 1e-9  # of an overlap, over the whole path's: below it nothing moves there
 _CANDIDATES = 6  # maxima that are tried: gait repeats itself
 _HOPELESS = 200.0  # difference over noise at a whole sample that no fraction of a sample explains
 _KEPT = 0.98  # of the second differences: gaps and spikes are in the rest
@@ -145,17 +145,8 @@ def _lags(x: np.ndarray, y: np.ndarray, least: int, correlation: float) -> list[
 
     It must reach ``correlation``, over at least ``least`` samples and half of the shorter path.
     """
-    n, m = len(x), len(y)
-    lags = np.arange(n + m - 1) - (m - 1)
-    count = np.minimum(n, m + lags) - np.maximum(0, lags)
-    ones_x, ones_y = np.ones(n), np.ones(m)
-    sum_x, sum_y = fftconvolve(x, ones_y), fftconvolve(ones_x, y[::-1])
-    power_x = fftconvolve(x * x, ones_y) - sum_x**2 / count
-    power_y = fftconvolve(ones_x, y[::-1] ** 2) - sum_y**2 / count
-    product = fftconvolve(x, y[::-1]) - sum_x * sum_y / count
-    floor = 1e-9 * np.sum(x * x) * np.sum(y * y)
-    value = product / np.sqrt(np.maximum(power_x * power_y, floor))
-    value[count < max(min(n, m) // 2, least)] = -1.0
+    lags, value, count = signals.correlation_at_lags(x, y, _LEAST_VARIANCE)
+    value[count < max(min(len(x), len(y)) // 2, least)] = -1.0
     peaks, _ = find_peaks(np.concatenate([[-1.0], value, [-1.0]]), height=correlation)
     order = np.argsort(value[peaks - 1])[::-1][:_CANDIDATES]
     return [int(lags[i]) for i in peaks[order] - 1]
@@ -183,8 +174,8 @@ def _apart(x: np.ndarray, y: np.ndarray) -> float:
     left = np.zeros_like(x)
     for _ in range(_ROUNDS):
         passed = np.einsum("k,nki->ni", taps, y)
-        turn, _ = Rotation.align_vectors(x[use] - x[use].mean(axis=0), passed[use] - passed[use].mean(axis=0))
-        turned = np.einsum("ij,nkj->nki", turn.as_matrix(), y)
+        turn = geometry.nearest_rotation((x[use] - x[use].mean(axis=0)).T @ passed[use])
+        turned = y @ turn.T
         target, parts = x - turned[:, 0], turned[:, 1:]
         target, parts = target - target[use].mean(axis=0), parts - parts[use].mean(axis=0)
         design = np.moveaxis(parts[use], 1, 2).reshape(-1, 4)

@@ -86,7 +86,9 @@ def _readable() -> Gate:
     return Gate("readable", PASS, None, "", None, "all files of the trial can be read and used", "")
 
 
-def _tables(person: Subject, settings: IngestSettings) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
+def _tables(
+    person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial]
+) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
     """Interface coordinates (n, 6) per trial as the fits will see them, and what ingest refuses."""
     q: dict[str, np.ndarray] = {}
     refused: dict[str, InputError] = {}
@@ -106,6 +108,7 @@ def _tables(person: Subject, settings: IngestSettings) -> tuple[dict[str, np.nda
                     settings=settings,
                     phantom=person.phantom,
                     out=target,
+                    log=raw[name].log if name in raw else None,
                 )
             except InputError as error:
                 refused[name] = error
@@ -146,8 +149,9 @@ def quality_subject(
     person = read_subject(folder)
     limits, ingest = settings["quality"], settings["ingest"]
     overrides = _overrides(person, limits["override"])
-    q, refused = _tables(person, ingest)
-    measured, signatures, unreadable = _measure_all(person, limits, ingest)
+    recorded, unreadable = _read_all(person, ingest)
+    q, refused = _tables(person, ingest, recorded)
+    measured, signatures = _measure_all(person, recorded, limits, ingest)
     session = session_of(list(measured.values()))
     bounds = _joint_limits(person, q)
     trials: dict[str, dict[str, Any]] = {}
@@ -224,10 +228,8 @@ def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
     return out
 
 
-def _measure_all(
-    person: Subject, limits: QualitySettings, ingest: IngestSettings
-) -> tuple[dict[str, Measured], dict[str, sameness.Signature], dict[str, InputError]]:
-    """Figures and signatures of all trials of a person that can be read, and why the others cannot."""
+def _read_all(person: Subject, ingest: IngestSettings) -> tuple[dict[str, RawTrial], dict[str, InputError]]:
+    """All trials of a person that can be read, and why the others cannot."""
     trials: dict[str, RawTrial] = {}
     unreadable: dict[str, InputError] = {}
     for name, files in person.trials.items():
@@ -235,15 +237,22 @@ def _measure_all(
             trials[name] = raw_trial(name, files, person.markers, ingest)
         except InputError as error:
             unreadable[name] = error
+    return trials, unreadable
+
+
+def _measure_all(
+    person: Subject, trials: dict[str, RawTrial], limits: QualitySettings, ingest: IngestSettings
+) -> tuple[dict[str, Measured], dict[str, sameness.Signature]]:
+    """Figures and signatures of the trials of a person."""
     standing = trials.get("neutral") or next(iter(trials.values()), None)
     if standing is None:
-        return {}, {}, unreadable
+        return {}, {}
     reference = markers.reference_distances(standing.recording.positions)
     measured = {name: measure(trial, reference, limits, ingest) for name, trial in trials.items()}
     find_exchanges(trials, measured, reference, limits, ingest)
     signatures = signatures_of(trials, person.trials)
     note_copies(measured, signatures, limits)
-    return measured, signatures, unreadable
+    return measured, signatures
 
 
 def signatures_of(

@@ -178,7 +178,7 @@ def _walk(gait: Reference, conditions: list[Condition]) -> CoupledWalk:
     )
 
 
-def test_the_aware_take_up_the_speed_of_the_robot_and_the_others_do_not():
+def test_the_aware_start_at_the_speed_of_the_robot_and_the_others_at_their_own():
     walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.8, (), True), Condition("prior", PRIOR, 0.8)])
     np.testing.assert_allclose(walk._share, [0.8, 0.8, 1, 1])
     recording = walk.run(0.5)
@@ -190,11 +190,36 @@ def test_the_aware_take_up_the_speed_of_the_robot_and_the_others_do_not():
     assert first[:2].mean() < 0.9 * first[2:].mean()
 
 
-def test_whoever_is_slowed_down_more_presses_on_more():
-    walk = _walk(adaptable(), [Condition("prior", PRIOR, cap, (), True) for cap in (0.75, 0.95)])
-    walk.run(0.5)
-    felt = walk._felt / walk.policy.reference.speed
-    lead = (walk._share / felt).reshape(2, -1).mean(axis=1) - 1
-    assert lead[0] > 2 * lead[1] > 0
-    wanted = felt + STUDY["twin"]["coupled"]["press"] * (1 - felt)
-    np.testing.assert_allclose(walk._share, wanted, atol=0.01)
+def _without_pull(walk: CoupledWalk) -> dict[str, np.ndarray]:
+    """Return what a rollout records where nothing pulls."""
+    model = walk.model
+    widths = {"qpos": model.nq, "qfrc_passive": model.nv, "sensordata": model.nsensordata}
+    return {name: np.zeros((walk.n, walk.substeps, n)) for name, n in widths.items()}
+
+
+@pytest.mark.parametrize("part", ["spring", "stop"])
+def test_the_aware_slow_down_by_a_steady_pull_of_spring_or_stop(part: str):
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.9, (), True), Condition("prior", PRIOR, 0.9)])
+    walk.run(2 * walk.control_s)
+    coupled = STUDY["twin"]["coupled"]
+    pull = 0.1 * coupled["stopping_pull_bw"] * WHO.weight
+    record = _without_pull(walk)
+    forward = walk._strap[0]
+    if part == "spring":
+        record["qfrc_passive"][..., forward] = pull
+    else:
+        # the interface lags behind the person as far as the strap goes
+        record["qpos"][..., forward] = LIMITS.lower[0]
+        record["sensordata"][..., walk.model.sensor("strap_stop").adr[0]] = pull
+    for _ in range(round(12 * coupled["pull_sense_s"] / walk.control_s)):
+        walk._feel(record)
+    np.testing.assert_allclose(walk._share, [0.9, 0.9, 1, 1], atol=1e-4)
+
+
+def test_a_slow_robot_that_pulls_at_nothing_slows_nobody_down():
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.8, (), True)])
+    walk.run(2 * walk.control_s)
+    still = _without_pull(walk)
+    for _ in range(round(12 * STUDY["twin"]["coupled"]["pull_sense_s"] / walk.control_s)):
+        walk._feel(still)
+    np.testing.assert_allclose(walk._share, 1.0, atol=1e-4)

@@ -1193,8 +1193,8 @@ TwinCoupledSettings = TypedDict(
         "sensitivity": list[float],
         "study_sensitivity": list[float],
         "gaits": list[str],
-        "press": float,
-        "speed_sense_s": float,
+        "stopping_pull_bw": float,
+        "pull_sense_s": float,
         "cadence_exponent": float,
     },
 )

@@ -109,8 +109,8 @@ def add_gait_sensors(spec: mujoco.MjSpec) -> None:
 class Condition:
     """One way of coupling: strap parameters (12,), speed cap as a share of the person's speed, robot's factors.
 
-    ``factors`` multiply constants of the robot by name (`WalkingRobot.constants`). An ``aware`` person takes up the
-    speed that the robot allows; another one means to walk at their own.
+    ``factors`` multiply constants of the robot by name (`WalkingRobot.constants`). An ``aware`` person means to walk
+    the slower the more the strap pulls them back; another one means to walk at their own speed.
     """
 
     name: str
@@ -182,6 +182,9 @@ class _Walkers:
     def _command_robot(self, root: RootState, control: np.ndarray) -> None:
         """Write the robot's part of ``control``: none."""
 
+    def _feel(self, record: dict[str, np.ndarray]) -> None:
+        """Take note of a rollout: nothing."""
+
     def _cadence(self) -> np.ndarray | float:
         """Return the factor on the clock."""
         return 1.0
@@ -220,6 +223,7 @@ class _Walkers:
                 np.repeat(control[:, None], self.substeps, axis=1),
                 record=("qpos", "qvel", "sensordata", "qfrc_passive"),
             )
+            self._feel(record)
             survived[alive & fallen] = k * self.control_s
             alive &= ~fallen
             at = slice(k * per, (k + 1) * per)
@@ -367,6 +371,9 @@ class CoupledWalk(_Walkers):
     ):
         spec = coupled_spec(policy.body, twin["human"], robot, plant, rest, limits)
         self._dress(spec, robot)
+        if limits is not None:
+            kind, joint = mujoco.mjtSensor.mjSENS_JOINTLIMITFRC, mujoco.mjtObj.mjOBJ_JOINT
+            spec.add_sensor(name="strap_stop", type=kind, objtype=joint, objname="strap_tx")
         model = compiled(spec, robot.path)
         super().__init__(policy, model, twin, len(conditions) * walkers, threads)
         self.robot, self.conditions, self.walkers, self.rest = robot, conditions, walkers, rest
@@ -378,10 +385,14 @@ class CoupledWalk(_Walkers):
         self._robot = np.array([model.joint(j).dofadr[0] for j in robot.joints])
         self._drives = np.array([model.actuator(name).id for name in robot.commands])
         self._strap = np.array([model.joint(j).dofadr[0] for j in STRAP_JOINTS])
+        self._stop = None if limits is None else int(model.sensor("strap_stop").adr[0])
+        self._forward = 0.0 if limits is None else float(limits.lower[0] + limits.upper[0]) / 2
+        self._stopping_n = twin["coupled"]["stopping_pull_bw"] * policy.body.weight
         self._base = int(self._robot[0])
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
         if policy.reference.speeds is not None:
             self._share = self._meant(np.repeat([c.cap for c in conditions], walkers))
+            self._pull = (1 - self._share) * self._stopping_n
         robot.bind(model, self.batch, self.cap)
         self._set_conditions()
 
@@ -437,18 +448,25 @@ class CoupledWalk(_Walkers):
             position[i], velocity[i] = data.qpos, data.qvel
         self.robot.start(reference.speed)
         self._base_speed = velocity[:, self._base].copy()
-        self._felt = velocity[:, self._base].copy()
 
     def _command_robot(self, root: RootState, control: np.ndarray) -> None:
-        """Write the robot's commands into ``control``, and let the aware take up its speed."""
+        """Write the robot's commands into ``control``."""
         control[:, self._drives] = self.robot.command(root, self.control_s)
+
+    def _feel(self, record: dict[str, np.ndarray]) -> None:
+        """Let the aware slow down by how much strap and stops pull them back.
+
+        Not by the robot's speed: who lags behind what they mean cannot tell by it whether the robot holds them back,
+        and a robot that follows slows down with them.
+        """
         if not self._aware.any():
             return
-        robot = self.batch.bind("qvel")[:, self._base]
-        self._felt += (robot - self._felt) * min(1.0, self.control_s / self._coupled["speed_sense_s"])
-        felt = self._felt / self.policy.reference.speed
-        # a share of what the robot lacks: a mere factor on its speed would let both slow down further and further
-        self._share = self._meant(felt + self._coupled["press"] * (1 - felt))
+        pull = record["qfrc_passive"][..., self._strap[0]].mean(axis=1)
+        if self._stop is not None:
+            side = np.sign(self._forward - record["qpos"][..., self._strap[0]])
+            pull += (side * record["sensordata"][..., self._stop]).mean(axis=1)
+        self._pull += (pull - self._pull) * min(1.0, self.control_s / self._coupled["pull_sense_s"])
+        self._share = self._meant(1 - self._pull / self._stopping_n)
 
     def _meant(self, share: np.ndarray) -> np.ndarray:
         """Return the speed that each means to walk at (n,): the aware ``share``, no slower than their gait is known."""

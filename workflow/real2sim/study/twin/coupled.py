@@ -386,7 +386,7 @@ class CoupledWalk(_Walkers):
         self._drives = np.array([model.actuator(name).id for name in robot.commands])
         self._strap = np.array([model.joint(j).dofadr[0] for j in STRAP_JOINTS])
         self._stop = None if limits is None else int(model.sensor("strap_stop").adr[0])
-        self._forward = 0.0 if limits is None else float(limits.lower[0] + limits.upper[0]) / 2
+        self._middle = 0.0 if limits is None else float(limits.lower[0] + limits.upper[0]) / 2
         self._stopping_n = twin["coupled"]["stopping_pull_bw"] * policy.body.weight
         self._base = int(self._robot[0])
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
@@ -463,7 +463,7 @@ class CoupledWalk(_Walkers):
             return
         pull = record["qfrc_passive"][..., self._strap[0]].mean(axis=1)
         if self._stop is not None:
-            side = np.sign(self._forward - record["qpos"][..., self._strap[0]])
+            side = np.sign(self._middle - record["qpos"][..., self._strap[0]])
             pull += (side * record["sensordata"][..., self._stop]).mean(axis=1)
         self._pull += (pull - self._pull) * min(1.0, self.control_s / self._coupled["pull_sense_s"])
         self._share = self._meant(1 - self._pull / self._stopping_n)

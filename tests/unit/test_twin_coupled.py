@@ -21,6 +21,7 @@ from real2sim.study.twin.coupled import (
     FreeWalk,
     Recording,
     coupled_spec,
+    standing_interface,
     strap_vectors,
 )
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS
@@ -77,7 +78,8 @@ def _walk(conditions: list[Condition], walkers: int = 2, twin: dict | None = Non
 
 def _model() -> tuple[mujoco.MjModel, np.ndarray]:
     robot = CompliantRobot(ROBOT, STUDY["twin"]["follow"])
-    model = coupled_spec(WHO, STUDY["twin"]["human"], robot, STUDY["plant"], REST, LIMITS).compile()
+    stand = standing_interface(WHO, REST)
+    model = coupled_spec(WHO, STUDY["twin"]["human"], robot, STUDY["plant"], REST, LIMITS, stand).compile()
     robot.bind(model, untimed_batch(model, 1, 1), np.ones(1))
     return model, robot.standing()[0]
 

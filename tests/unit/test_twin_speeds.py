@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import copy
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from real2sim.errors import InputError
-from real2sim.study.twin.coupled import Condition, CoupledWalk
-from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv
+from real2sim.study.twin.coupled import Condition, CoupledWalk, standing_interface, walking_interface
+from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv, rotations
 from real2sim.study.twin.gait import Reference, scaled_curves, with_speeds
 from real2sim.study.twin.policy import Policy, load_policy, save_policy
 from real2sim.study.twin.ppo import init_layers
 from real2sim.study.twin.reference import cadence_exponent
-from real2sim.study.twin.stage import load_walker
+from real2sim.study.twin.stage import load_walker, vertical_stretch
 from real2sim.study.twin.study_robot import StudyRobot
 
 from tests.unit.test_twin_coupled import LIMITS, PRIOR, REST, STUDY, STUDY_ROBOT
@@ -223,3 +224,30 @@ def test_a_slow_robot_that_pulls_at_nothing_slows_nobody_down():
     for _ in range(round(12 * STUDY["twin"]["coupled"]["pull_sense_s"] / walk.control_s)):
         walk._feel(still)
     np.testing.assert_allclose(walk._share, 1.0, atol=1e-4)
+
+
+def test_the_arm_is_set_up_for_the_mean_height_of_the_walk():
+    policy, stretch = _policy(adaptable()), 0.004
+    level, place = walking_interface(policy, REST, stretch)
+    _, standing = standing_interface(WHO, REST)
+    np.testing.assert_array_equal(level, np.eye(3))
+    np.testing.assert_array_equal(place[:2], standing[:2])
+    # a strap that keeps its rest pose over the cycle has its interface there in the mean
+    heights = []
+    for phase in np.linspace(0, 1, 50, endpoint=False):
+        qpos = policy.reference.at(np.array([phase]))[0][0]
+        pelvis = rotations(qpos[None, 3:7])[0]
+        heights.append(qpos[2] + (pelvis @ (WHO.mid_asis + REST.rotation.T @ REST.position))[2])
+    np.testing.assert_allclose(place[2], np.mean(heights) + stretch, atol=1e-4)
+    assert place[2] < standing[2]
+
+
+def test_the_strap_is_stretched_as_in_the_steady_part_of_the_own_walks(monkeypatch, tmp_path: Path):
+    heights = {"walk_robot_1": [0.5, -0.002, np.nan, -0.004], "walk_robot_2": [0.5, -0.003, -0.003, -0.003]}
+    stage = "real2sim.study.twin.stage"
+    monkeypatch.setattr(
+        f"{stage}.read_pose", lambda path: ({"q_tz": np.array(heights[path.parent.name])}, {})
+    )
+    monkeypatch.setattr(f"{stage}._steady_rows", lambda folder: np.array([1, 2, 3]))
+    np.testing.assert_allclose(vertical_stretch([tmp_path / name for name in heights]), -0.003)
+    assert vertical_stretch([]) == 0.0

@@ -18,7 +18,13 @@ from real2sim.recording.trial import load_limits
 from real2sim.study.twin.coupled import Condition, CoupledWalk
 from real2sim.study.twin.reference import read_walks
 from real2sim.study.twin.robots import WalkingRobot
-from real2sim.study.twin.stage import cap_to_compare, load_walker, read_prior, walking_robots
+from real2sim.study.twin.stage import (
+    cap_to_compare,
+    load_walker,
+    read_prior,
+    vertical_stretch,
+    walking_robots,
+)
 from real2sim.system.plant import RestPose
 
 if TYPE_CHECKING:
@@ -135,6 +141,7 @@ def twin_clip(
         limits=load_limits(limits),
         conditions=[Condition("prior", read_prior(priors), cap, (), twin["coupled"]["gaits"][0] == "aware")],
         walkers=1,
+        stretch_m=vertical_stretch(assisted),
     )
     states: list[np.ndarray] = []
     walk.run(seconds, watch=lambda qpos: states.append(qpos[0].copy()))

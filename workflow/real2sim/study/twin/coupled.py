@@ -18,7 +18,7 @@ import numpy as np
 
 from real2sim.geometry import interface_coordinates, relative_pose
 from real2sim.study.twin.env import RootState, correction_of, gains, observe, rotations, servo_target
-from real2sim.study.twin.gait import SAGITTAL
+from real2sim.study.twin.gait import PHASES, SAGITTAL
 from real2sim.study.twin.human import FEET, JOINTS, Body, add_actuators, add_floor, add_human, human_spec
 from real2sim.study.twin.policy import Policy
 from real2sim.study.twin.robots import WalkingRobot
@@ -49,6 +49,19 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
     return np.eye(3), place + pelvis @ rest.position
 
 
+def walking_interface(policy: Policy, rest: RestPose, stretch_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose (3, 3), (3,) [m] of `standing_interface` at the height that the person's walk has in the mean.
+
+    A walking pelvis is lower than a standing one, and arms that hold their height are set up for walking. ``stretch_m``
+    is how much higher than at rest the interface is in the pelvis frame while walking.
+    """
+    level, place = standing_interface(policy.body, rest)
+    qpos, _, _ = policy.reference.at(np.arange(PHASES) / PHASES)
+    arm = rotations(qpos[:, 3:7]) @ (policy.body.mid_asis + rest.rotation.T @ rest.position)
+    place[2] = float(np.mean(qpos[:, 2] + arm[:, 2])) + stretch_m
+    return level, place
+
+
 def coupled_spec(
     who: Body,
     human: TwinHumanSettings,
@@ -56,19 +69,20 @@ def coupled_spec(
     plant: PlantSettings,
     rest: RestPose,
     limits: JointLimits | None,
+    stand: tuple[np.ndarray, np.ndarray],
 ) -> mujoco.MjSpec:
     """Describe robot, strap and person as one tree; the robot knows its stand from then on.
 
-    ``human`` is a slice of ``twin``, ``plant`` the slice ``plant`` (its limits are used). Strap stiffness and damping
-    are set per simulation.
+    ``human`` is a slice of ``twin``, ``plant`` the slice ``plant`` (its limits are used), ``stand`` the pose (3, 3),
+    (3,) [m] of the interface for which the robot is set up. Strap stiffness and damping are set per simulation.
 
     Raises
     ------
     InputError
-        Where the robot cannot reach the interface of the standing person.
+        Where the robot cannot reach the interface.
     """
     settings: PlantSettings = {**plant, "timestep_s": human["timestep_s"]}
-    spec = robot.describe(settings, rest, limits, standing_interface(who, rest))
+    spec = robot.describe(settings, rest, limits, stand)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags &= ~(mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
     _add_person(spec, who, rest, human["contact"])
@@ -352,6 +366,8 @@ class CoupledWalk(_Walkers):
         Robot, rest pose and joint limits of the interface.
     conditions
         What to simulate.
+    stretch_m
+        Mean vertical stretch of the strap while walking [m], see `walking_interface`.
     walkers, threads
         Per condition, and threads that step them.
     """
@@ -367,9 +383,11 @@ class CoupledWalk(_Walkers):
         limits: JointLimits | None,
         conditions: list[Condition],
         walkers: int,
+        stretch_m: float = 0.0,
         threads: int = 1,
     ):
-        spec = coupled_spec(policy.body, twin["human"], robot, plant, rest, limits)
+        self._stand = walking_interface(policy, rest, stretch_m)
+        spec = coupled_spec(policy.body, twin["human"], robot, plant, rest, limits, self._stand)
         self._dress(spec, robot)
         if limits is not None:
             kind, joint = mujoco.mjtSensor.mjSENS_JOINTLIMITFRC, mujoco.mjtObj.mjOBJ_JOINT
@@ -423,7 +441,7 @@ class CoupledWalk(_Walkers):
         turned = rotations(qpos[:, 3:7])
         site = model.site("human_root").id
         jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        level, place = standing_interface(who, self.rest)
+        level, place = self._stand
         stand = self.robot.standing()
         position, velocity = self.batch.bind("qpos"), self.batch.bind("qvel")
         for i, rotation in enumerate(turned):

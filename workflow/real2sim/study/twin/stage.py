@@ -218,7 +218,7 @@ def twin_coupled(
     twin = settings["twin"]
     learnt = load_walker(policy, twin["coupled"])
     prior, own = read_prior(priors), best_fit(fits)
-    interface = _interface_of(neutral, limits)
+    interface = _interface_of(neutral, limits, assisted)
     person = Measured.read(normal, assisted, learnt.body, interface[0].rotation)
     cap, source = cap_to_compare(person.walks["walk_robot"], learnt.reference.speed, twin["coupled"])
     conditions: list[dict[str, Any]] = []
@@ -271,17 +271,28 @@ def _settings_of(twin: TwinSettings, own_speed: float, cap: float, source: str) 
     }
 
 
-def _interface_of(neutral: Path, limits: Path) -> tuple[RestPose, JointLimits | None]:
-    """Return rest pose and joint limits of a person's interface."""
+Interface = tuple[RestPose, JointLimits | None, float]
+
+
+def _interface_of(neutral: Path, limits: Path, assisted: list[Path]) -> Interface:
+    """Return rest pose, joint limits and vertical stretch while walking [m] of a person's interface."""
     rest = read_pose(neutral)[1]["rest"]
-    return RestPose(np.array(rest["rotation"]), np.array(rest["position"])), load_limits(limits)
+    pose = RestPose(np.array(rest["rotation"]), np.array(rest["position"]))
+    return pose, load_limits(limits), vertical_stretch(assisted)
+
+
+def vertical_stretch(assisted: list[Path]) -> float:
+    """Return the mean q_tz [m] of the steady part of walk_robot trials, of their folders; 0 without any."""
+    heights = [read_pose(folder / "pose.parquet")[0]["q_tz"][_steady_rows(folder)] for folder in assisted]
+    known = np.concatenate([h[np.isfinite(h)] for h in heights]) if heights else np.zeros(0)
+    return float(known.mean()) if len(known) else 0.0
 
 
 def _walk(
     learnt: Policy,
     conditions: list[Condition],
     robot: WalkingRobot,
-    interface: tuple[RestPose, JointLimits | None],
+    interface: Interface,
     settings: Settings,
     threads: int,
 ) -> Recording:
@@ -296,6 +307,7 @@ def _walk(
         limits=interface[1],
         conditions=conditions,
         walkers=twin["coupled"]["walkers"],
+        stretch_m=interface[2],
         threads=threads,
     )
     return walk.run(twin["coupled"]["walk_s"])

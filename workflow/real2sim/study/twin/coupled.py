@@ -52,8 +52,8 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
 def walking_interface(policy: Policy, rest: RestPose, stretch_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose (3, 3), (3,) [m] of `standing_interface` at the height that the person's walk has in the mean.
 
-    A walking pelvis is lower than a standing one, and arms that hold their height are set up for walking. ``stretch_m``
-    is how much higher than at rest the interface is in the pelvis frame while walking.
+    A walking pelvis is lower than a standing one, and an arm that holds its height would lift it. ``stretch_m`` is how
+    much higher than at rest the interface is in the pelvis frame while walking, in the mean.
     """
     level, place = standing_interface(policy.body, rest)
     qpos, _, _ = policy.reference.at(np.arange(PHASES) / PHASES)

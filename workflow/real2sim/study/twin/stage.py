@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 # Normalised strides (k, 101) [degrees] by sagittal joint
 Cycles = dict[str, np.ndarray]
+# Rest pose, joint limits, and mean vertical stretch while walking [m]
+Interface = tuple[RestPose, JointLimits | None, float]
 
 
 def examined(learnt: Policy, settings: TwinSettings, threads: int) -> dict[str, Any]:
@@ -269,9 +271,6 @@ def _settings_of(twin: TwinSettings, own_speed: float, cap: float, source: str) 
         "cadence_exponent": twin["coupled"]["cadence_exponent"],
         "main_robot": twin["coupled"]["robots"][0],
     }
-
-
-Interface = tuple[RestPose, JointLimits | None, float]
 
 
 def _interface_of(neutral: Path, limits: Path, assisted: list[Path]) -> Interface:

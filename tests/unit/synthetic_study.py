@@ -8,7 +8,7 @@ from typing import Any
 from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.inference.parameters import PARAMETERS, unit
 from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
-from real2sim.pages.report import FIGURES
+from real2sim.pages.report.parts import FIGURES
 from real2sim.pages.tables import CROSS_TRIAL_COLUMNS, priors_table
 from real2sim.pages.tightness import tightness_figure
 from real2sim.recording.quality.stage import COLUMNS as QUALITY_COLUMNS

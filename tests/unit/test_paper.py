@@ -416,7 +416,9 @@ def _printed(path: Path) -> list[str]:
     "module",
     [
         "pages/person.py",
-        "pages/report.py",
+        "pages/report/page.py",
+        *(f"pages/report/{part}.py" for part in ("parts", "top", "recordings", "identification", "priors")),
+        *(f"pages/report/{part}.py" for part in ("diagnoses", "walking", "claims", "foot")),
         "pages/suite.py",
         "pages/diagnosis.py",
         "study/paper/claims.py",

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
-from real2sim.pages.report import FIGURES, report_page
+from real2sim.pages.report.page import report_page
+from real2sim.pages.report.parts import FIGURES
 from real2sim.pages.validation import RECORD_KEYS
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_study
@@ -160,8 +161,9 @@ def test_claims_by_the_plain_fits_of_fewer_trials_have_a_column(report, tmp_path
 
 def test_of_many_people_the_page_tells_of_all_together(report, tmp_path, monkeypatch):
     path, given = report
-    monkeypatch.setattr("real2sim.pages.report.MANY_PEOPLE", 2)
-    monkeypatch.setattr("real2sim.pages.report.MANY_FILES", 2)
+    for module in ("parts", "identification", "diagnoses"):
+        monkeypatch.setattr(f"real2sim.pages.report.{module}.MANY_PEOPLE", 2)
+    monkeypatch.setattr("real2sim.pages.report.foot.MANY_FILES", 2)
     out = tmp_path / "report.html"
     write_json(tmp_path / "diagnosis.json", _diagnosis())
     diagnoses = [tmp_path / "diagnosis.json"] * 3

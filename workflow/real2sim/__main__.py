@@ -83,7 +83,7 @@ COMMANDS = {
     "diagnosis-table": "real2sim.pages.diagnosis:diagnosis_table",
     "suite-page": "real2sim.pages.suite:suite_page",
     "person-page": "real2sim.pages.person:person_page",
-    "report-page": "real2sim.pages.report:report_page",
+    "report-page": "real2sim.pages.report.page:report_page",
 }
 
 

@@ -120,7 +120,10 @@ def test_people_with_a_sealed_gap_are_written_and_analysed_without_it(project):
 
 def test_motion_is_a_file_per_fitted_trial_and_apart_from_the_study(shipped):
     assert "motion_file" not in shipped.planned()
-    assert shipped.planned("motion")["motion_file"] == 10
+    # two trials each of five calibration people and of the validation person whose refinement is compared
+    assert shipped.planned("motion")["motion_file"] == 12
+    without = shipped.planned("motion", "--config", 'refinement={"compare": "never"}')
+    assert without["motion_file"] == 10
 
 
 def test_suite_of_cases_is_apart_from_the_study(project, shipped):

@@ -296,11 +296,15 @@ def where_limits_are_known(wildcards, stage):
     return f"results/{stage}/{wildcards.subject}.json" if PEOPLE[wildcards.subject].has_limits else []
 
 
+def is_fitted(subject):
+    """Whether all dynamic trials of a person are fitted in full: for the priors, or to compare a refinement with."""
+    whom = STUDY["refinement"]["compare"]
+    return subject in CALIBRATION or whom == "always" or (whom == "first" and subject in VALIDATION[:1])
+
+
 def full_calibration(wildcards):
     """All fits of a person where a refinement is compared with them."""
-    name, whom = wildcards.subject, STUDY["refinement"]["compare"]
-    compared = name in CALIBRATION or whom == "always" or (whom == "first" and name in VALIDATION[:1])
-    return fits_of([name]) if compared else []
+    return fits_of([wildcards.subject]) if is_fitted(wildcards.subject) else []
 
 
 def where_refined(wildcards, stage):

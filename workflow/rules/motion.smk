@@ -6,16 +6,20 @@ Steps:   replay the best fit of a trial once more and write it beside what was m
          the study asks for them.
 """
 
+WATCHED = [
+    name for name, person in PEOPLE.items() if person.has_limits and person.trials_of("dynamic") and is_fitted(name)
+]
+
 
 rule motion:
     """All fitted trials, and a clip per person."""
     input:
         [
             f"results/motion/{name}/{trial}.mcap"
-            for name in CALIBRATION
+            for name in WATCHED
             for trial in PEOPLE[name].trials_of("dynamic")
         ],
-        expand("results/motion/{subject}/clip.gif", subject=CALIBRATION),
+        expand("results/motion/{subject}/clip.gif", subject=WATCHED),
 
 
 rule motion_file:

@@ -173,6 +173,15 @@ def test_a_robot_at_rest_is_searched_for_where_it_explains_all_or_how_people_sta
     assert not any(e.settled for e in items)
 
 
+def _pair(samples: int, log_determinant: float = 0.0, *, settled: bool) -> SimpleNamespace:
+    """Two trials of so many residuals, whose noise has a log-determinant each."""
+    trial = SimpleNamespace(settled=settled, log_determinant=log_determinant)
+    by_sensor = ((samples,), (samples,))
+    return SimpleNamespace(
+        train=trial, held_out=trial, samples_by_sensor=by_sensor, on_floor=lambda sd: (False,)
+    )
+
+
 @pytest.mark.parametrize(
     ("said", "looks", "left", "holds", "other"),
     [
@@ -187,11 +196,7 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
     def search_pair(trials, *, settled=False, complete=None):
         chi2 = (left if settled else 4000.0,) * 2
         found = Attribution(Hypothesis((), np.zeros(12), chi2), [], [], (2880, 2880), None)
-        train = SimpleNamespace(settled=settled)
-        pair = SimpleNamespace(
-            train=train, samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,)
-        )
-        return trials_module.Found(pair, found)
+        return trials_module.Found(_pair(2880, settled=settled), found)
 
     trials_module = trials
     monkeypatch.setattr(trials, "search_pair", search_pair)
@@ -201,6 +206,24 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
     found, rest = trials.search_initial_states(two)
     assert found.pair.train.settled is holds
     assert (rest.pair.train.settled if rest else None) is other
+
+
+@pytest.mark.parametrize(("larger_by", "holds"), [(40.0, True), (60.0, False)])
+def test_noise_that_a_robot_at_rest_adds_counts_against_it(monkeypatch, larger_by, holds):
+    """Chi-squared in units of a louder noise is smaller, whatever explains the recordings."""
+
+    def search_pair(of, *, settled=False, complete=None):
+        plain = Hypothesis(
+            (), np.zeros(12), (2900.0, 2900.0) if settled else (2950.0, 2950.0), converged=True
+        )
+        pair = _pair(2880, larger_by if settled else 0.0, settled=settled)
+        return trials.Found(pair, Attribution(plain, [], [], (2880, 2880), None))
+
+    monkeypatch.setattr(trials, "search_pair", search_pair)
+    monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
+    two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
+    found, _ = trials.search_initial_states(two)
+    assert found.pair.train.settled is holds
 
 
 def test_the_initial_state_is_chosen_by_sets_that_have_converged(monkeypatch):
@@ -213,12 +236,7 @@ def test_the_initial_state_is_chosen_by_sets_that_have_converged(monkeypatch):
         own = places[name]
         h = Hypothesis((own,), np.concatenate([np.zeros(12), own.starts()[0]]), chi2)
         plain = Hypothesis((), np.zeros(12), (9000.0, 9000.0), converged=True)
-        pair = SimpleNamespace(
-            train=SimpleNamespace(settled=settled),
-            samples_by_sensor=((3600,), (3600,)),
-            on_floor=lambda sd: (False,),
-        )
-        return trials.Found(pair, Attribution(plain, [h], [], (3600, 3600), None))
+        return trials.Found(_pair(3600, settled=settled), Attribution(plain, [h], [], (3600, 3600), None))
 
     def finished(pair, hypothesis, settings):
         chi2 = (3640.0, 3600.0) if hypothesis.names == ("coulomb",) else hypothesis.chi2

@@ -7,7 +7,9 @@ Steps:   replay the best fit of a trial once more and write it beside what was m
 """
 
 WATCHED = [
-    name for name, person in PEOPLE.items() if person.has_limits and person.trials_of("dynamic") and is_fitted(name)
+    name
+    for name, person in PEOPLE.items()
+    if person.has_limits and person.trials_of("dynamic") and is_fitted(name)
 ]
 
 

@@ -42,7 +42,9 @@ def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
         # rows of the priors count once
         rows = jacobian[: evidence.rows] if evidence is pair.held_out else jacobian
         total += rows.T @ rows
-    total[np.diag_indices_from(total)] += 1e-9
+    # a number without a prior of its own has a uniform one between its bounds
+    width = prior_widths(problem.prior_sd, problem.lower, problem.upper)
+    total[np.diag_indices_from(total)] += np.where(np.isfinite(problem.prior_sd), 1e-9, 1 / width**2)
     return total
 
 

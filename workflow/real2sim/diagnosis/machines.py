@@ -15,10 +15,10 @@ import numpy as np
 
 from real2sim.diagnosis.attribute import finished
 from real2sim.diagnosis.decide import Decision, averaged, further_price, log_likelihood
-from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, Evidence
+from real2sim.diagnosis.evidence import BALANCE, CONFIGURED
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.diagnosis.trials import Outcome, Trials, search_both_ways
+from real2sim.diagnosis.trials import Outcome, Trials, in_common, search_both_ways
 from real2sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,18 +72,13 @@ class _Prepared:
 
     @property
     def common(self) -> float:
-        """Terms of the deviance that all answers with this machine have in common: `_common`."""
-        return _common(self.plain, (self.pair.train, self.pair.held_out))
+        """Terms of the deviance that all answers with this machine have in common."""
+        return in_common(self.plain, (self.pair.train, self.pair.held_out))
 
     @property
     def deviance(self) -> float:
         """Minus twice the logarithm of the evidence of the plain fit."""
         return sum(self.plain.chi2) + self.common
-
-
-def _common(plain: Hypothesis, evidence: Sequence[Evidence]) -> float:
-    """Return Occam's term of the system's parameters and the log-determinants of the noise of all trials."""
-    return plain.occam + float(sum(e.log_determinant for e in evidence))
 
 
 def beside_configured(own: T, others: Mapping[str, T], source: str) -> dict[str, T]:
@@ -149,11 +144,10 @@ def _searched(name: str, own: _Prepared) -> Machine:
     outcome = search_both_ways(own.trials)
     found = outcome.found
     pair, plain = found.pair, found.attribution.plain
-    common = _common(plain, (pair.train, pair.held_out, *found.further))
     names = own.trials.train, own.trials.held_out
     if pair.exchanged or outcome.the_other_way:
         names = names[::-1]
-    return Machine(name, names, pair, plain, found.cost(options) + common, outcome)
+    return Machine(name, names, pair, plain, found.cost(options), outcome)
 
 
 def _with_one_effect(name: str, own: _Prepared) -> Machine:

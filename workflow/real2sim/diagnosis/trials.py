@@ -118,6 +118,15 @@ class Trials:
         return tuple(out)
 
 
+def in_common(plain: Hypothesis, evidence: Sequence[Evidence]) -> float:
+    """Return Occam's term of the system's parameters and the log-determinants of the noise of all trials.
+
+    All answers under one initial state and with one machine have them in common. Each of these passes on the noise of
+    the recordings in its own way, and chi-squared alone would favour the one whose noise is the largest.
+    """
+    return plain.occam + float(sum(e.log_determinant for e in evidence))
+
+
 @dataclass(frozen=True)
 class Found:
     """Two trials, what the search found of them, and further trials that it has to predict."""
@@ -167,9 +176,14 @@ class Found:
         return BALANCE if self.pair.train.settled else START_POSE
 
     def cost(self, options: DiagnosisSettings) -> float:
-        """Return what the answer leaves of chi-squared, plus the price of its parameters and laws."""
+        """Return the deviance of the answer, the price of its laws, and what all answers here have in common.
+
+        With another initial state or machine these are other ones (`in_common`).
+        """
         sets = candidates_of(self, options)
-        return cost_of_answer(*sets, self.samples, options["calibration"])
+        evidence = (self.pair.train, self.pair.held_out, *self.further)
+        common = in_common(self.attribution.plain, evidence)
+        return cost_of_answer(*sets, self.samples, options["calibration"]) + common
 
 
 @dataclass(frozen=True)

@@ -168,6 +168,8 @@ class Mechanism:
         Joints of its own carry the arm: a body has at most six degrees of freedom, so no two such effects.
     planned
         Part of the force is fed in as a control, so that an exported model lacks it.
+    control_is_force
+        Its controls are forces, which a robot in equilibrium balances; not those that gate a damper.
     sticks
         A constraint of MuJoCo holds the joint (dry friction), which does not see the inertia of implicit dampers.
     weighed
@@ -192,6 +194,7 @@ class Mechanism:
     replaces_spring: bool = False
     carries_arm: bool = False
     planned: bool = False
+    control_is_force: bool = True
     sticks: bool = False
     weighed: bool = False
     moves_rest: bool = False
@@ -206,6 +209,10 @@ class Mechanism:
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Write values (m, p) [SI], and what follows from the interface's impedance, into the fields."""
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return what of the plant it writes as a whole: two that share one would undo each other, and exclude it."""
+        return frozenset()
 
     def columns(self, model: mujoco.MjModel, where: Where) -> np.ndarray:
         """Return the columns of the control that this mechanism commands, (j,)."""

@@ -70,6 +70,10 @@ class TurnedAxes(Mechanism):
 
     kinds = ("elastic coupling", "coupling")
 
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it writes the axes of the joints."""
+        return frozenset({"joint axes"})
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Turn the axis of each joint."""
         turn = Rotation.from_rotvec(values).as_matrix()

@@ -44,6 +44,10 @@ class TurnedLab(Observation):
 class TurnedBack(Mechanism):
     """All axes turned about the vertical against a turn of the segment's path, value (m, 1) [rad]."""
 
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """As of `TurnedAxes`."""
+        return TurnedAxes().overwrites(where)
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """The path carries the axes along with it; the interface hangs on the person all the same."""
         segment = where.system.segment

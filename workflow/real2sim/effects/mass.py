@@ -32,6 +32,10 @@ class InterfaceMass(Mechanism):
 
     kinds = ("inertial",)
 
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it writes the mass of the body."""
+        return frozenset({"mass of the interface"})
+
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body."""
         body = fields.model.body(where.system.body).id
@@ -47,6 +51,10 @@ class HangingMass(StandingForce):
     def __init__(self, plan: Callable[..., np.ndarray], joints: tuple[str, ...]):
         super().__init__(plan, joints)
         self._mass = InterfaceMass()
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """As of `InterfaceMass`."""
+        return self._mass.overwrites(where)
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Add to the body."""

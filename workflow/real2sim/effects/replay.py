@@ -356,6 +356,10 @@ class EffectReplay(FreeRuns, Replay):
             fields["qpos_spring"][:, strap] = self.model.qpos_spring[strap]
             for name in ("tendon_lengthspring", "tendon_range") if self.model.ntendon else ():
                 fields[name][:] = getattr(self.model, name)
+        if self._settled and not self._sightings:
+            # where the robot was in balance in the last call
+            robot = self.model.jnt_qposadr[self._robot_joints]
+            fields["qpos_spring"][:, robot] = self.model.qpos_spring[robot]
         for i in self._order:
             placed, values = self.effects[i], self._values[i]
             placed.effect.plant.set(fields, placed.where, self._impedance, values)
@@ -373,6 +377,11 @@ class EffectReplay(FreeRuns, Replay):
             # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
             # friction holds would creep by what is missing. As an inertia proper the same motion is held.
             self._armature[:m] += self.model.opt.timestep * self._damping[:m]
+            # of a joint whose body stands alone MuJoCo knows the inertia by another field
+            lone = np.flatnonzero(self.model.dof_simplenum > 0)
+            if len(lone):
+                added = self._armature[:m, lone] - self.model.dof_armature[lone]
+                fields["dof_M0"][:, lone] = self.model.dof_M0[lone] + added
         if self._stopped:
             self._weigh(m)
         if self._laws:
@@ -483,9 +492,10 @@ class EffectReplay(FreeRuns, Replay):
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
         pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
         force = pull["qfrc_passive"][:, 0]
-        for columns in self._columns_of.values():
-            driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
-            force[:, driven] += self._control[:m, 0, columns]
+        for i, columns in self._columns_of.items():
+            if self.effects[i].effect.plant.control_is_force:
+                driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
+                force[:, driven] += self._control[:m, 0, columns]
         stiffness = fields["jnt_stiffness"][:, joints]
         for k in range(m):
             # how the strap's joints go where those of the robot move and the pelvis stays

@@ -24,6 +24,11 @@ from real2sim.system.description import ARM_JOINTS, BASE_JOINTS
 LOADS = ("added_mass", "base_compliance", "controller_reaction")
 
 
+def impedance_of(joints: tuple[str, ...]) -> frozenset[str]:
+    """Return what a mechanism overwrites that writes stiffness and damping of some joints of the robot."""
+    return frozenset(f"impedance of {joint}" for joint in joints)
+
+
 class RobotImpedance(Mechanism):
     """Other impedance of the robot's joints than configured: ln-factors on stiffness and damping of some joints."""
 
@@ -31,6 +36,10 @@ class RobotImpedance(Mechanism):
 
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it writes the impedance of its joints."""
+        return impedance_of(self._joints)
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Scale, with the step's centring of the damping."""
@@ -50,6 +59,10 @@ class JointImpedance(Mechanism):
     """`RobotImpedance` of the one joint of the machine that it is placed at: ln-factors on stiffness and damping."""
 
     kinds = ("place", "dissipative")
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """As of `RobotImpedance`."""
+        return impedance_of((where.machine_joint,))
 
     def set(self, fields: Fields, where: Where, impedance: InterfaceImpedance, values: np.ndarray) -> None:
         """Scale."""
@@ -108,6 +121,10 @@ class YieldBeyondWheels(Mechanism):
 
     def __init__(self, joints: tuple[str, ...]):
         self._joints = joints
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it moves the impedance of its joints to their slides."""
+        return impedance_of(self._joints)
 
     def logged(self, where: Where) -> dict[str, str]:
         """Return the slide that the log shows instead of each joint."""

@@ -209,6 +209,7 @@ class LooseDamper(DrivenForce):
 
     kinds = ("elastic", "damping by coordinate")
     replaces_spring = True
+    control_is_force = False
 
     def __init__(
         self, spring: Mechanism, tight: Callable[..., np.ndarray], always: Callable[..., np.ndarray]

@@ -403,10 +403,9 @@ class SystemReplay(FreeRuns):
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
         pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
         force = pull["qfrc_passive"][:, 0]
-        for i, placed in enumerate(self.effects):
-            del i
+        for placed in self.effects:
             columns = placed.effect.plant.columns(model, placed.where)
-            if len(columns):
+            if len(columns) and placed.effect.plant.control_is_force:
                 driven = model.jnt_dofadr[joints_of(model, columns)]
                 force[:, driven] += self._control[:m, 0, columns]
         held = [model.joint(j.name) for j in self._setup.system.machine if j.impedance is not None]

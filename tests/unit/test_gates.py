@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from gate_person import CONFIG, SETTINGS, simulate_person
 from real2sim.artefacts import read_json, read_table
 from real2sim.errors import InputError
 from real2sim.pages.quality import quality_figure
+from real2sim.recording.formats.robot_log import read_log, write_log
 from real2sim.recording.quality import clocks, markers
 from real2sim.recording.quality.gates import bandwidth_hz, noise_cost, reversals
 from real2sim.recording.quality.measure import _robot_clock
@@ -120,6 +122,36 @@ def test_unreadable_trial_is_refused_and_the_others_are_judged(few, tmp_path):
     (copy / "dynamic_2.tsv").write_text("nothing\n")
     _run(tmp_path / "x", tmp_path / "out")
     assert read_json(tmp_path / "out" / "dynamic_2.json")["refused"][0]["gate"] == "readable"
+    assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
+
+
+def test_a_log_of_part_of_a_sweep_is_refused_before_it_makes_limits(few, tmp_path):
+    copy = tmp_path / "x" / "raw" / "S01"
+    shutil.copytree(few / "raw" / "S01", copy)
+    path = copy / "rotation_T10.mcap"
+    log = read_log(path)
+    for times, kept in ((log.base_time_s, log.base), (log.joint_time_s, log.joints)):
+        part = times <= times[0] + 4.0
+        kept.update({name: values[part] for name, values in kept.items()})
+    arm, base = (t[t <= t[0] + 4.0] for t in (log.joint_time_s, log.base_time_s))
+    write_log(path, replace(log, base_time_s=base, joint_time_s=arm))
+    _run(tmp_path / "x", tmp_path / "out")
+    refused = read_json(tmp_path / "out" / "rotation_T10.json")["refused"]
+    assert [gate["gate"] for gate in refused] == ["completeness"]
+    assert "all six coordinates of the interface are known in" in refused[0]["message"]
+    assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
+
+
+def test_a_log_of_one_message_is_refused_and_the_others_are_judged(few, tmp_path):
+    copy = tmp_path / "x" / "raw" / "S01"
+    shutil.copytree(few / "raw" / "S01", copy)
+    path = copy / "dynamic_2.mcap"
+    log = read_log(path)
+    joints = {name: values[:1] for name, values in log.joints.items()}
+    write_log(path, replace(log, joint_time_s=log.joint_time_s[:1], joints=joints))
+    _run(tmp_path / "x", tmp_path / "out")
+    refused = read_json(tmp_path / "out" / "dynamic_2.json")["refused"]
+    assert "1 of /joint_states" in refused[0]["message"]
     assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
 
 

@@ -346,6 +346,66 @@ def test_log_of_another_trial(copy):
     assert "no time at which both" in refusal(run)
 
 
+def _within(log, first_s, last_s):
+    """A log without what lies outside a span of its own time."""
+    base = (log.base_time_s >= first_s) & (log.base_time_s <= last_s)
+    arm = (log.joint_time_s >= first_s) & (log.joint_time_s <= last_s)
+    return replace(
+        log,
+        base_time_s=log.base_time_s[base],
+        base={name: values[base] for name, values in log.base.items()},
+        joint_time_s=log.joint_time_s[arm],
+        joints={name: values[arm] for name, values in log.joints.items()},
+    )
+
+
+def test_a_log_of_part_of_a_trial_is_told(copy):
+    folder, run = copy
+    path = folder / "dynamic_1.mcap"
+    log = read_log(path)
+    write_log(path, _within(log, log.base_time_s[0], log.base_time_s[0] + 5.0))
+    found = _findings(run(), "dynamic_1")["log_partial"]
+    assert found["severity"] == "warning"
+    assert "roll, pitch and yaw are known in" in found["message"]
+
+
+@pytest.mark.parametrize("kept_s", [0.0, 0.5])
+def test_a_log_of_hardly_anything_is_refused(copy, kept_s):
+    folder, run = copy
+    path = folder / "dynamic_1.mcap"
+    log = read_log(path)
+    write_log(path, replace(_within(log, log.base_time_s[0], log.base_time_s[0] + kept_s), sync_s=None))
+    text = refusal(run)
+    assert "dynamic_1.mcap" in text
+    assert "/joint_states" in text
+    assert "log_too_short" in text
+
+
+def test_a_marker_that_is_labelled_and_never_seen_is_taken_as_not_there(copy):
+    folder, run = copy
+
+    def labelled(positions):
+        return positions | {"LHEE": np.full_like(positions["IF_L"], np.nan)}
+
+    for name in ("neutral", "dynamic_1"):
+        change_markers(folder / f"{name}.tsv", labelled)
+    out = run()
+    assert _findings(out, "neutral")["marker_unseen"]["place"] == "LHEE"
+    assert "LHEE" not in quality(out, "dynamic_1")["markers"]
+
+
+def test_markers_that_a_lab_numbers_keep_their_names(copy):
+    folder, run = copy
+    for name in TRIALS:
+        change_markers(folder / f"{name}.tsv", lambda p: {"1" if k == "IF_L" else k: v for k, v in p.items()})
+    (folder / "subject.yaml").write_text(SUBJECT + "markers: {1: IF_L}\n")
+    run()
+    (folder / "subject.yaml").write_text(SUBJECT + "markers: {on: IF_L}\n")
+    text = refusal(run)
+    assert "key markers" in text
+    assert "put the name in quotes" in text
+
+
 def test_files_that_were_not_planned(copy, tmp_path):
     folder, _ = copy
     planned = [path for path in folder.iterdir() if path.name != "dynamic_1.mot"]

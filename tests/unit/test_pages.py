@@ -179,6 +179,11 @@ def _page(folder, diagnosis):
 def test_page_tells_verdict_causes_values_and_what_next(tmp_path):
     text = _page(tmp_path, _diagnosis()).text
     assert "Slack causes the gap with a probability of 92 %" in text
+    assert (
+        "with the effect in the model the misfit of the held-out trial dynamic_2 falls from 8 to 1.2 times"
+        in text
+    )
+    assert "so that 2.9 % of what stood above noise is left" in text
     assert "J falls from 0.61 to 0.169 with it, which leaves 10 % [0, 20] of the gap" in text
     assert "soft tissue" in text
     assert "F < k & q" in text
@@ -304,9 +309,9 @@ def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_pa
     exchanged = _diagnosis(train=["dynamic_2"], held_out=["dynamic_1"], shown_on=["dynamic_2"])
     text = _page(tmp_path, exchanged).text
     assert "Only dynamic_2 leaves more than noise: effects were fitted on it" in text
-    assert "on dynamic_2, J falls" in text
+    assert "On dynamic_2, J falls" in text
     # chi-squared of the trial that shows the gap, the first of the two
-    assert "the plain model 9 and the model with the effect 1.1" in text
+    assert "with the effect in the model the misfit of dynamic_2 falls from 9 to 1.1 times" in text
     assert "leaves more than noise: effects" not in _page(tmp_path, _diagnosis()).text
 
 
@@ -346,7 +351,10 @@ def test_an_unknown_cause_is_told_by_its_law_wherever_answers_are_listed(tmp_pat
     text = _page(tmp_path, d).text
     assert "costs J = 0.61 and the model with the measured law 0.145 where noise alone costs 0.12" in text
     assert "The gap lies most likely in the interface law (the strap), along ty." in text
-    assert "the plain model 8 and the model with the measured law 1.2" in text
+    assert (
+        "with the measured law in the model the misfit of the held-out trial dynamic_2 falls from 8 to 1.2"
+        in text
+    )
     table = tmp_path / "diagnosis.csv"
     diagnosis_table(diagnoses=[tmp_path / "diagnosis.json"], out=table)
     row = read_table(table, ("law", "gap_closed"))[0]
@@ -416,6 +424,18 @@ def test_page_of_an_effect_that_does_not_carry_over_says_so(tmp_path):
     worse = _diagnosis()
     worse["gap"]["J_with_effect"] = 0.9
     assert "it does not help: J goes from 0.61 to 0.9" in _page(tmp_path, worse).text
+    worse["gap"]["chi2_best"] = [1000, 900]
+    text = _page(tmp_path, worse).text
+    assert "goes from 8 to 9 times what noise leaves: it does not help" in text
+
+
+def test_page_says_where_the_shares_of_a_gap_are_chance(tmp_path):
+    """A gap that chi-squared sees may be next to nothing in J, of which the shares are."""
+    d = _diagnosis()
+    assert "axes and shares are chance" not in _page(tmp_path, d).text
+    for cause in d["causes"]:
+        cause["gap_closed"] = cause["gap_closed_ci95"] = None
+    assert "axes and shares are chance" in _page(tmp_path, d).text
 
 
 def test_page_of_two_causes_names_both(tmp_path):

@@ -233,7 +233,7 @@ def test_a_seed_in_which_everybody_fell_reproduces_nothing(study, tmp_path):
         0,
     )
     assert "In 2 of 12 walks" in found["cycles"]["reason"]
-    assert "prior in seed 1. Of these walks 1 are at the robot" in found["cycles"]["reason"]
+    assert "prior in seed 1 (study robot, fixed gait, cap 1.0). Of these walks 1" in found["cycles"]["reason"]
 
 
 def test_where_everybody_fell_in_every_seed_the_claim_is_judged(study, tmp_path):

@@ -236,7 +236,7 @@ def test_the_front_answers_the_question_of_the_study():
     first, second = _diagnosis(), _diagnosis()
     second |= {"subject": "S02", "next_trial": "sway in pitch"}
     claims = [
-        {"claim": "cause, top-1, rho >= 0.2", "value": 0.92, "n": 38},
+        {"claim": "right where surer than 90 %", "value": 0.92, "n": 38, "wilson95": [0.79, 0.97]},
         {"claim": "false alarm on null", "value": None, "n": 0},
     ]
     old = {"date": "2026-01-01", "suite": "a", "claims": [claims[0] | {"value": 0.1}]}
@@ -244,13 +244,14 @@ def test_the_front_answers_the_question_of_the_study():
     fresh = {"date": "2026-11-26 10:05", "suite": "b", "claims": claims}
     later = {"date": "2026-11-27", "suite": "c", "claims": [{"claim": "other", "value": 1.0, "n": 3}]}
     text = front([first, second], [before, old, fresh, later])
-    assert "slack: everyone." in text
+    assert "slack: everyone (92 %)." in text
     assert "interface law (the strap): everyone." in text
-    assert "named first for 92 % of 38 synthetic people" in text
+    assert "92 % [79 %, 97 %] of 38 answers surer than 90 % were right" in text
     assert "given one" not in text
     assert "S02: sway in pitch." in text
     assert front([], []) == ""
-    nobody = _diagnosis() | {"verdict": "none", "probabilities": {"none": 1.0}, "next_trial": None}
+    nobody = _diagnosis() | {"verdict": "none", "verdict_set": ["none"], "next_trial": None}
+    nobody["probabilities"] = {"none": 1.0}
     assert "Nowhere that these recordings show." in front([nobody], [])
     assert "Nothing more" in front([nobody], [])
 

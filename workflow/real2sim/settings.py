@@ -97,6 +97,7 @@ IngestRobotLogSettings = TypedDict(
     "IngestRobotLogSettings",
     {
         "min_correlation": float,
+        "least_s": float,
         "stamps": IngestRobotLogStampsSettings,
     },
 )

@@ -122,6 +122,8 @@ rule diagnosis_page:
     input:
         answer="results/diagnosis/{subject}/diagnosis.json",
         traces="results/diagnosis/{subject}/traces.parquet",
+        # the page links to it
+        model="results/diagnosis/{subject}/model.xml",
     output:
         "results/diagnosis/{subject}/diagnosis.html",
     log:

@@ -258,7 +258,8 @@ def digest(d: Mapping[str, Any]) -> str:
     causes = table(
         ["Cause", "Probability", "Gap closed"],
         rows,
-        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(_shown(d))}",
+        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(_shown(d))}, a "
+        "dash where J is no more than noise alone costs",
         numeric=(2,),
     )
     told = [] if law is None else [paragraph(law_sentence(law))]
@@ -325,10 +326,9 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
         which = ", ".join(f"{marker} for {rounded(s)} s" for marker, s in markers.items())
         what = f"In {trial} pelvis markers jump ({which}): there the pelvis is taken from the others. Label them again."
         parts.append(paragraph(what))
-    if spectral := _spectral(d):
-        parts.append(
-            f"<details><summary>The same in chi-squared</summary>\n{paragraph(spectral)}\n</details>"
-        )
+    if chi2_per_residual(d) is not None:
+        summary = "The same as cost J, which the study minimises"
+        parts.append(f"<details><summary>{summary}</summary>\n{paragraph(_as_cost(d))}\n</details>")
     return [part for part in parts if part != "<p></p>"]
 
 
@@ -419,33 +419,63 @@ def _robot_words(name: str) -> str:
 
 
 def _verdict(d: Mapping[str, Any]) -> str:
-    """Cause, probability and what is left, in one sentence."""
-    gap, p = d["gap"], d["probabilities"]
-    base, floor, after = (rounded(gap[key], 4) for key in ("J_base", "J_floor", "J_with_effect"))
-    held_out = _shown(d) == d["held_out"]
-    trial = f"the held-out trial {_trials(_shown(d))}" if held_out else _trials(_shown(d))
+    """Cause, probability and what is left above noise, in one sentence; in J where an old answer has nothing else."""
+    p, left = d["probabilities"], _beyond_noise(d) or _as_cost(d).removesuffix(".")
     if d["verdict"] == "none" and other_robot(d):
-        return f"The plain model with another robot explains the gap; on {trial}, {_left(d, base, floor, after)}."
-    if d["verdict"] == "none":
-        return (
-            f"No cause is named: with a probability of {likely(p['none'])} the plain model is all that the data ask "
-            f"for; on {trial} it costs J = {base}, and noise alone {floor} {_interval(d['noise_floor']['ci95'])}."
-        )
-    if d["verdict"] == "unknown":
+        claim = "The plain model with another robot explains the gap"
+    elif d["verdict"] == "none":
+        sure = f"with a probability of {likely(p['none'])}"
+        claim = f"No cause is named: {sure} the plain model is all that the data ask for"
+    elif d["verdict"] == "unknown":
+        sure = f"with a probability of {likely(p['unknown'])}"
+        claim = f"The cause is unknown: {sure} it is none that the catalogue holds"
+    else:
+        names = _set(d)
+        each = " and ".join(likely(p[name]) for name in names)
+        claim = f"{_sentence(_words(names[0]))} causes the gap with a probability of {each}"
+        if len(names) > 1:
+            claim = f"{_sentence(_listed(names))} together cause the gap (probability {each}, shared out between them)"
+    return f"{claim}; {left}."
+
+
+def _shown_words(d: Mapping[str, Any]) -> str:
+    held_out = _shown(d) == d["held_out"]
+    return f"{'the held-out trial ' if held_out else ''}{_trials(_shown(d))}"
+
+
+def _beyond_noise(d: Mapping[str, Any]) -> str:
+    """The misfit without and with the answer, in units of what noise leaves; empty where an old answer lacks it."""
+    both = chi2_per_residual(d)
+    if both is None:
+        return ""
+    plain, best = (rounded(value, 2) for value in both)
+    if not is_explained(d):
+        return f"the misfit of {_shown_words(d)} is {plain} times what noise leaves"
+    change = f"the misfit of {_shown_words(d)} {{}} from {plain} to {best} times what noise leaves"
+    if both[1] >= both[0]:
+        return f"with the {_remedy(d)} in the model {change.format('goes')}: it does not help"
+    text = f"with the {_remedy(d)} in the model {change.format('falls')}"
+    closed = chi2_closed(d)
+    if closed is None or closed >= 1:
+        return f"{text}, so that nothing is left above noise"
+    return f"{text}, so that {percent(1 - closed, 1)} of what stood above noise is left"
+
+
+def _as_cost(d: Mapping[str, Any]) -> str:
+    """The same in J, the cost that the study minimises, in one sentence."""
+    gap = d["gap"]
+    base, floor, after = (rounded(gap[key], 4) for key in ("J_base", "J_floor", "J_with_effect"))
+    if d["verdict"] == "none" and not other_robot(d):
+        interval = _interval(d["noise_floor"]["ci95"])
+        text = f"the plain model costs J = {base}, and noise alone {floor} {interval}"
+    elif d["verdict"] == "unknown":
         best = max((c["gap_closed"] for c in d["causes"] if c.get("gap_closed") is not None), default=None)
         tried = "" if best is None else f", and the best of the catalogue closes {percent(best)} of the gap"
         with_law = "" if _law(d) is None else f" and the model with the measured law {after}"
-        return (
-            f"The cause is unknown: with a probability of {likely(p['unknown'])} it is none that the catalogue holds; "
-            f"on {trial} the plain model costs J = {base}{with_law} where noise alone costs {floor}{tried}."
-        )
-    names = _set(d)
-    each = " and ".join(likely(p[name]) for name in names)
-    if len(names) == 1:
-        claim = f"{_sentence(_words(names[0]))} causes the gap with a probability of {each}"
+        text = f"the plain model costs J = {base}{with_law} where noise alone costs {floor}{tried}"
     else:
-        claim = f"{_sentence(_listed(names))} together cause the gap (probability {each}, shared out between them)"
-    return f"{claim}; on {trial}, {_left(d, base, floor, after)}."
+        text = _left(d, base, floor, after)
+    return f"On {_shown_words(d)}, {text}."
 
 
 def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
@@ -471,20 +501,6 @@ def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
 def _same_set(cause: Mapping[str, Any], d: Mapping[str, Any]) -> bool:
     """Return whether the cause was refitted together with just the others of the verdict's set."""
     return {cause["effect"], *cause.get("with", [])} == set(_set(d))
-
-
-def _spectral(d: Mapping[str, Any]) -> str:
-    """The same in chi-squared, which sees errors that J drowns in noise."""
-    both = chi2_per_residual(d)
-    if both is None:
-        return ""
-    plain, best = both
-    text = "Chi-squared weighs each frequency by its own noise and sees more than J; noise alone gives 1 per residual"
-    if not is_explained(d):
-        return f"{text}, the plain model {rounded(plain)}."
-    closed, what = chi2_closed(d), _remedy(d)
-    left = "" if closed is None else f", {percent(1 - closed, 1)} of what stood above noise is left"
-    return f"{text}, the plain model {rounded(plain)} and the model with the {what} {rounded(best)}{left}."
 
 
 # ---- where
@@ -552,9 +568,24 @@ def _place(d: Mapping[str, Any]) -> str:
             "There is no gap to place: the shares below only say where chance put the small excess over noise, and the "
             f"stage is that of effects {of}."
         )
+    # shares are of what J has above noise, which is next to nothing where a gap shows in chi-squared alone
+    chance = (
+        ""
+        if _j_shows(d)
+        else " J of this trial is no more than noise alone costs: axes and shares are chance."
+    )
     if d["verdict"] == "unknown" and _law(d) is None:
-        return f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}."
-    return f"The gap lies most likely in the {stage}, along {axes}."
+        return (
+            f"The gap shows along {axes}. What the catalogue would explain best lies in the {stage}.{chance}"
+        )
+    return f"The gap lies most likely in the {stage}, along {axes}.{chance}"
+
+
+def _j_shows(d: Mapping[str, Any]) -> bool:
+    """Return whether J stands far enough above its noise floor for a share of it to mean something."""
+    closed = [cause.get("gap_closed") for cause in d["causes"]]
+    law = _law(d)
+    return any(c is not None for c in closed) or (law is not None and law["gap_closed"] is not None)
 
 
 def _where(d: Mapping[str, Any]) -> str:

@@ -8,8 +8,15 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from real2sim.pages.diagnosis import STAGES, answer_words, chi2_closed, chi2_per_residual, shows_gap
-from real2sim.pages.page import listed, percent, rounded
+from real2sim.pages.diagnosis import (
+    STAGES,
+    answer_probability,
+    answer_words,
+    chi2_closed,
+    chi2_per_residual,
+    shows_gap,
+)
+from real2sim.pages.page import likely, listed, percent, rounded
 from real2sim.pages.validation import latest_claims
 
 # Names of a person each up to so many, else their number
@@ -54,8 +61,17 @@ def _grouped(pairs: Sequence[tuple[str, str]]) -> list[tuple[str, list[str]]]:
 
 def _which(diagnoses: Sequence[Diagnosis]) -> str:
     groups = _grouped([(answer_words(d), str(d["subject"])) for d in diagnoses])
-    words = "; ".join(f"{what}: {_people(names, len(diagnoses))}" for what, names in groups)
-    return f"{words}."
+    sure = {str(d["subject"]): answer_probability(d) for d in diagnoses}
+    words = "; ".join(
+        f"{what}: {_people(names, len(diagnoses))} ({_between([sure[name] for name in names])})"
+        for what, names in groups
+    )
+    return f"{words}. In brackets: the probability of the answer."
+
+
+def _between(shares: Sequence[float]) -> str:
+    low, high = likely(min(shares)), likely(max(shares))
+    return low if low == high else f"{low} to {high}"
 
 
 def _where(diagnoses: Sequence[Diagnosis]) -> str:
@@ -96,18 +112,19 @@ def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]])
         for name, words in _CLAIMS.items():
             if name in claims:
                 row = claims[name]
-                parts.append(words.format(share=percent(row["value"]), n=row["n"]))
-        parts.append("How often it is right about real people is not known.")
+                low, high = (percent(end) for end in row["wilson95"])
+                parts.append(words.format(share=f"{percent(row['value'])} [{low}, {high}]", n=row["n"]))
+        parts.append("In brackets: 95 % intervals. How often it is right about real people is not known.")
     return " ".join(parts)
 
 
 # What a reader asks of a scored suite before they trust an answer
 _CLAIMS = {
-    "cause, top-1, rho >= 0.2": "Where the cause was known but withheld, it was named first for {share} of {n} "
-    "synthetic people.",
+    "right where surer than 90 %": "On synthetic people whose cause was known but withheld, {share} of {n} answers "
+    "surer than 90 % were right.",
     "false alarm on null": "Of {n} without a cause, {share} were given one.",
-    "out of library: a wrong name": "Where the cause was none of the catalogue, {share} of {n} were given a wrong "
-    "name.",
+    "left out: a wrong name surer than 90 %": "Where the cause was taken out of the catalogue, {share} of {n} answers "
+    "were a wrong name surer than 90 %.",
     "random law: unknown, or an equal law": "Where the cause was a law that nobody listed, {share} of {n} answers said "
     "unknown or gave a cause as good.",
 }

@@ -110,12 +110,12 @@ def person_page(
     body = [
         *_notices(study),
         paragraph(_lead(study), "lead"),
+        _diagnosis(study),
         _who(study),
         _quality(study),
         _tightness(study),
         _parameters(study),
         _costs(study),
-        _diagnosis(study),
         _files(study),
         _provenance(study),
     ]

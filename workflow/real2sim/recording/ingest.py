@@ -82,7 +82,13 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
         trial.note("other_markers", "info", trial.tsv, "MARKER_NAMES", listed, "not used")
     required = _required_markers(trial, recording.positions, marker_names)
     rotation = lab_to_world(trial.settings["lab_to_world"])
-    used = {name: positions[name] @ rotation.T for name in OUR_MARKERS if name in positions}
+    labelled = {name: positions[name] @ rotation.T for name in OUR_MARKERS if name in positions}
+    used = markers.without_unseen(labelled, required)
+    if len(used) < len(labelled):
+        listed = ", ".join(sorted(labelled.keys() - used.keys()))
+        trial.note(
+            "marker_unseen", "info", trial.tsv, listed, "labelled and never seen", "taken as not there"
+        )
     _check_extent(trial, used)
     for name in required:
         _check_complete(trial, name, used[name])
@@ -92,9 +98,7 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
 
 def _required_markers(trial: _Trial, own: Collection[str], marker_names: dict[str, str]) -> list[str]:
     """Our names of the markers that a trial needs; InputError where one is not among ``own``, the file's names."""
-    required = list(geometry.PELVIS_MARKERS)
-    if parse_trial(trial.name)[0] != "walk_normal":
-        required += geometry.INTERFACE_MARKERS
+    required = markers.needed(parse_trial(trial.name)[0])
     there = {marker_names.get(name, name) for name in own}
     missing = [name for name in required if name not in there]
     if missing:
@@ -247,6 +251,8 @@ def _standing_noise(recording: MarkerRecording) -> dict[str, list[float]]:
     out = {}
     for name, values in recording.positions.items():
         good = signals.known(values)
+        if good.sum() < 3:  # nothing is left beside a straight line
+            continue
         t = np.linspace(-1, 1, len(good))[good]
         line = np.polynomial.polynomial.polyfit(t, values[good], 1)
         residual = values[good] - np.polynomial.polynomial.polyval(t, line).T
@@ -471,6 +477,7 @@ def _robot(
     if log is None:
         log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
     trial.findings.extend(log.findings)
+    _check_log(trial.log, log, trial.settings["robot_log"]["least_s"])
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
     gap = trial.settings["max_gap_s"]
@@ -493,6 +500,18 @@ def _robot(
         columns |= dict(zip(WRENCH, signals.resample(wrench_time, wrench, other, gap).T, strict=True))
     up = _arm_up(trial, columns, positions, report)
     return columns, up, report
+
+
+def _check_log(path: Path, log: RobotLog, least_s: float) -> None:
+    """Refuse a log whose base and arm are not both there for a while at the same time."""
+    base, arm = log.base_time_s, log.joint_time_s
+    together = min(base[-1], arm[-1]) - max(base[0], arm[0]) if len(base) and len(arm) else 0.0
+    if together >= least_s:
+        return
+    found = f"{len(base)} messages of /odom and {len(arm)} of /joint_states, together for {max(together, 0.0):.2f} s"
+    expected = f"both for at least {least_s:g} s (ingest.robot_log.least_s)"
+    remedy = "record the log over the whole trial, or take the file away: a trial may be without one"
+    raise InputError(path, "", found, expected, remedy, "log_too_short")
 
 
 def _stamp_delays(trial: _Trial, path: Path, log: RobotLog) -> dict[str, dict[str, float]]:
@@ -775,7 +794,22 @@ def _interface_coordinates(
     r, p = geometry.relative_pose(*pelvis, *interface)
     rest: dict[str, Any] = reference["rest"] if reference else _rest(r, p, work)
     q = geometry.interface_coordinates(r, p, np.array(rest["rotation"]), np.array(rest["position"]))
+    _note_coverage(work, q)
     return q, rest
+
+
+def _note_coverage(work: _Trial, q: np.ndarray) -> None:
+    """Note that the log leaves much of a trial without the orientation of the interface, which hangs on the arm's."""
+    placed, whole = signals.known(q[:, :3]), signals.known(q)
+    if work.log is None or not placed.any():
+        return
+    share = float(whole.sum() / placed.sum())
+    if share < work.settings["min_complete"]:
+        message = (
+            f"the interface's roll, pitch and yaw are known in {100 * share:.0f} % of where its position is"
+        )
+        action = "left out where they are not; record the log over the whole trial"
+        work.note("log_partial", "warning", work.log, "", message, action)
 
 
 def _summary(work: _Trial, clock: np.ndarray, q: np.ndarray) -> dict[str, Any]:

@@ -213,7 +213,28 @@ def _subject(folder: Path, values: dict[str, Any]) -> Subject:
     _check_levels(folder, list(trials), values["tightness"])
     _require(folder, trials, exclude, {"neutral": "the rest pose of the interface"})
     rest = {k: v for k, v in values.items() if k not in ("exclude", "markers")}
-    return Subject(**rest, markers=dict(values["markers"]), exclude=exclude, trials=trials, folder=folder)
+    return Subject(
+        **rest, markers=_lab_names(folder, values["markers"]), exclude=exclude, trials=trials, folder=folder
+    )
+
+
+def _lab_names(folder: Path, given: dict[Any, str]) -> dict[str, str]:
+    """The lab's marker names and ours for them; a number without quotes is the name that it is written like.
+
+    Raises InputError for what YAML does not keep as it was written (on, no, 1.0).
+    """
+    for lab in given:
+        if not isinstance(lab, str | int) or isinstance(lab, bool):
+            remedy = "put the name in quotes"
+            raise InputError(
+                folder / SUBJECT_FILE,
+                "key markers",
+                f"{lab!r}, which is no text in YAML",
+                "names",
+                remedy,
+                "names",
+            )
+    return {str(lab): ours for lab, ours in given.items()}
 
 
 def _entries(folder: Path) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from html import escape
 
 from real2sim.inference.parameters import PARAMETERS, unit
+from real2sim.pages.diagnosis import shows_gap
 from real2sim.pages.page import bar, folded, paragraph, percent, section, table, verdict
 from real2sim.pages.report.parts import (
     DASH,
@@ -63,9 +64,23 @@ def identification_section(study: Study) -> str:
             "A value that is not called determined is not a result. The interval of 95 % takes the residuals' "
             "autocorrelation and the noise of the pelvis markers into account."
         ),
+        paragraph(_bias(study)),
         _per_parameter(study),
         own,
         downloads(study.identification.identifiability),
+    )
+
+
+def _bias(study: Study) -> str:
+    """Intervals of the plain model do not hold what it lacks; empty where nothing is known to be lacking."""
+    named = [str(d["subject"]) for d in study.diagnoses if shows_gap(d)]
+    if not named:
+        return ""
+    who = ", ".join(named) if len(named) < len(study.diagnoses) else "everyone who was diagnosed"
+    return (
+        "These intervals hold for a model that lacks nothing. The diagnosis finds that the plain model lacks something "
+        f"for {who}: there values may lie further from the truth than their intervals say, and the parameters with the "
+        "cause in the model are in the person's diagnosis.json."
     )
 
 

@@ -134,8 +134,8 @@ def tightness_section(study: Study) -> str:
     regressions = table(
         ["Motion", "Status", "Breakpoint", "At normalised tightness", "p", "People"],
         rows,
-        caption="Is there a level beyond which a tighter strap takes motion away? Two-segment regression of all "
-        "people",
+        caption="Is there a level beyond which a tighter strap takes no more motion away? Two-segment regression of "
+        "all people",
         numeric=(3, 4, 5),
     )
     points = [

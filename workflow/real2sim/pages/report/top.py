@@ -8,9 +8,12 @@ from html import escape
 
 from real2sim.artefacts import number
 from real2sim.pages.page import paragraph, rounded
-from real2sim.pages.report.parts import row_of
+from real2sim.pages.report.parts import row_of, value_cell
 from real2sim.pages.report.study import Study
 from real2sim.recording.quality.verdict import REFUSE, WARN, worst
+
+# Parameters from elsewhere may cost so much less than a fit before its search counts as unfinished [%]
+_SEARCH_TOLERANCE_PERCENT = 1.0
 
 
 def notices(study: Study) -> list[str]:
@@ -40,7 +43,27 @@ def notices(study: Study) -> list[str]:
         found.append(
             f"Fitted although a gate refuses it (quality.override): {listed}. All results rest on it."
         )
+    found += _not_converged(study)
     return [f'<p class="notice">{escape(text)}</p>' for text in found]
+
+
+def _not_converged(study: Study) -> list[str]:
+    """Return a notice where parameters that were not fitted to a trial cost less than those that were."""
+    worse = [
+        f"{row['subject']} ({what} {value_cell(row[key])} %)"
+        for rows, key, what in (
+            (study.sharing.loso.rows, "overhead_J_percent", "prior of the others"),
+            (study.identification.cross_trial.rows, "overhead_percent", "other trial"),
+        )
+        for row in rows
+        if row.get(key) and row["subject"] in study.people and number(row[key]) < -_SEARCH_TOLERANCE_PERCENT
+    ]
+    if not worse:
+        return []
+    return [
+        f"Searches have not converged: parameters from elsewhere cost less than a person's own fit for "
+        f"{', '.join(worse)}. Give more evaluations or restarts (identification) before numbers are used."
+    ]
 
 
 def _trials(study: Study) -> dict[tuple[str, str], str]:

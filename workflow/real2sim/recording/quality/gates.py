@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from real2sim import geometry, signals
 from real2sim.recording.quality import clocks, identity
-from real2sim.recording.quality.markers import RIGID_PAIRS
+from real2sim.recording.quality.markers import RIGID_PAIRS, needed
 from real2sim.recording.quality.measure import Measured
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size, sized_gate, worst
 from real2sim.recording.subjects import parse_trial
@@ -138,7 +138,7 @@ def judge(
 ) -> list[Gate]:
     """All gates of one trial. ``q`` (n, 6) interface coordinates at the common rate, ``limits`` q_min and q_max."""
     out = [
-        _completeness(m, settings, ingest),
+        _completeness(m, settings, q),
         _gaps(m, settings),
         _rigid(m, settings),
         _swaps(m),
@@ -165,11 +165,20 @@ def judge(
     return out + identity.judge(m, settings)
 
 
-def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings) -> Gate:
-    wanted = list(geometry.PELVIS_MARKERS)
-    wanted += [] if m.kind == "walk_normal" else list(geometry.INTERFACE_MARKERS)
-    share = {name: m.complete.get(name, 0.0) for name in wanted}
+def _completeness(m: Measured, settings: QualitySettings, q: np.ndarray | None) -> Gate:
+    share = {name: m.complete.get(name, 0.0) for name in needed(m.kind)}
     worst_marker = min(share, key=share.__getitem__)
+    known = 1.0 if q is None else float(np.isfinite(q).all(axis=1).mean())
+    if known < share[worst_marker]:
+        return sized_gate(
+            "completeness",
+            known,
+            "1",
+            settings,
+            f"all six coordinates of the interface are known in {100 * known:.1f} % of the samples (its markers and the"
+            " pose of the robot's arm)",
+            "Record the robot log over the whole trial, and fill or relabel markers in QTM.",
+        )
     listed = ", ".join(f"{name} {100 * s:.1f} %" for name, s in share.items() if s < 1)
     return sized_gate(
         "completeness",
@@ -183,16 +192,17 @@ def _completeness(m: Measured, settings: QualitySettings, ingest: IngestSettings
 
 
 def _gaps(m: Measured, settings: QualitySettings) -> Gate:
-    if not m.gaps:
+    gaps = [gap for gap in m.gaps if gap.marker in needed(m.kind)]
+    if not gaps:
         return sized_gate("gaps", 0.0, "s", settings, "no gap", "")
-    longest = max(m.gaps, key=lambda gap: gap.stop - gap.start)
+    longest = max(gaps, key=lambda gap: gap.stop - gap.start)
     length = (longest.stop - longest.start) / m.rate.declared
     return sized_gate(
         "gaps",
         length,
         "s",
         settings,
-        f"{len(m.gaps)} gaps, the longest {length:.2f} s of {longest.marker} from frame {longest.start + 1}",
+        f"{len(gaps)} gaps, the longest {length:.2f} s of {longest.marker} from frame {longest.start + 1}",
         "Fill or relabel the marker in QTM, or record the trial again.",
     )
 
@@ -445,24 +455,32 @@ def _frame_robot(m: Measured, session: Session, settings: QualitySettings) -> Ga
     limits = settings["frame_robot"]
     if m.robot is None:
         return sized_gate("frame_robot", None, "deg", settings, "no robot log", "")
-    parts = []
+    parts, verdicts = [], []
+    thresholds = [limits["warn"], limits["refuse"]]
     fit = m.robot.clock
     if fit is not None and np.degrees(m.robot.floor_sd_rad) < limits["certain_deg"]:
         tilt = float(np.degrees(np.arccos(np.clip(fit.ground[2, 2], -1, 1))))
         parts.append((tilt, f"the vertical is {tilt:.2f} deg from that of the robot's floor"))
+        verdicts.append(by_size(tilt, thresholds))
     if m.name in session.heading_rad and np.degrees(session.heading_sd_rad) < limits["certain_deg"]:
         turn = float(np.degrees(session.heading_rad[m.name]))
         parts.append(
             (abs(turn), f"the robot's heading is {turn:+.2f} deg from that in the person's other trials")
         )
+        # odometry that was started anew turns the robot's heading, and not the lab
+        alone = m.name in session.turned and abs(np.degrees(session.turned[m.name][2])) < limits["warn"]
+        verdict = by_size(abs(turn), thresholds)
+        verdicts.append(WARN if alone and verdict == REFUSE else verdict)
     if not parts:
         message = "too little motion, or an odometry that starts anew in each trial"
         return sized_gate("frame_robot", None, "deg", settings, message, "")
     value = max(size for size, _ in parts)
     remedy = (
-        "Calibrate Qualisys again with the L-frame level and along the robot, or correct ingest.lab_to_world."
+        "Calibrate Qualisys again with the L-frame level and along the robot, or correct ingest.lab_to_world. A"
+        " heading alone turns where the odometry was started anew: ingest finds it trial by trial."
     )
-    return sized_gate("frame_robot", value, "deg", settings, "; ".join(text for _, text in parts), remedy)
+    message = "; ".join(text for _, text in parts)
+    return sized_gate("frame_robot", value, "deg", settings, message, remedy, verdict=worst(verdicts))
 
 
 def _frame_markerless(m: Measured, session: Session, settings: QualitySettings) -> Gate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -12,6 +13,20 @@ from scipy.spatial.transform import Rotation
 from real2sim import geometry, signals
 
 MARKERS = (*geometry.PELVIS_MARKERS, *geometry.INTERFACE_MARKERS)
+
+
+def needed(kind: str) -> list[str]:
+    """Return the markers that a trial of a kind needs: no one wears the strap in a normal walk."""
+    return [*geometry.PELVIS_MARKERS, *(() if kind == "walk_normal" else geometry.INTERFACE_MARKERS)]
+
+
+def without_unseen(positions: Mapping[str, np.ndarray], needed: Collection[str]) -> dict[str, np.ndarray]:
+    """Return trajectories (n, 3) without markers that are never seen, but for those that are needed."""
+    return {
+        name: values for name, values in positions.items() if name in needed or signals.known(values).any()
+    }
+
+
 # Markers that sit on one body: the pelvis by itself and the interface by itself.
 RIGID_PAIRS = (*combinations(geometry.PELVIS_MARKERS, 2), geometry.INTERFACE_MARKERS)
 _SWAPS = tuple(combinations(range(len(MARKERS)), 2))

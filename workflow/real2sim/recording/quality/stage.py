@@ -62,7 +62,8 @@ def raw_trial(
     recording = read_markers(files.markers)
     rotation = lab_to_world(settings["lab_to_world"])
     named = {marker_names.get(lab, lab): values for lab, values in recording.positions.items()}
-    world = {marker: named[marker] @ rotation.T for marker in markers.MARKERS if marker in named}
+    labelled = {marker: named[marker] @ rotation.T for marker in markers.MARKERS if marker in named}
+    world = markers.without_unseen(labelled, markers.needed(parse_trial(name)[0]))
     if not world:
         found = f"markers {', '.join(named) or 'none'}"
         remedy = "label them in QTM, or say which of the lab's names they are under markers: in subject.yaml"
@@ -74,6 +75,11 @@ def raw_trial(
         markerless if isinstance(markerless, CoordinateRecording) else None,
         read_log(files.log, settings["robot_log"]["stamps"]) if files.log is not None else None,
     )
+
+
+def _is_too_short(error: InputError | None) -> bool:
+    """Return whether a trial is refused for being so short that no figure of it can be measured."""
+    return error is not None and error.code in ("too_short", "log_too_short")
 
 
 def _unreadable(error: InputError) -> Gate:
@@ -115,7 +121,13 @@ def _tables(
                 continue
             if parse_trial(name)[0] not in ("dynamic", "rotation", "translation"):
                 continue
-            columns, _ = read_pose(target / "pose.parquet")
+            try:
+                columns, _ = read_pose(target / "pose.parquet")
+            except InputError as error:
+                # the table is gone when somebody reads the verdict: the recording is what can be looked at
+                about = error.place, error.found, error.expected, error.remedy, error.code
+                refused[name] = InputError(person.trials[name].markers, *about)
+                continue
             q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
     return q, refused
 
@@ -151,7 +163,8 @@ def quality_subject(
     overrides = _overrides(person, limits["override"])
     recorded, unreadable = _read_all(person, ingest)
     q, refused = _tables(person, ingest, recorded)
-    measured, signatures = _measure_all(person, recorded, limits, ingest)
+    whole = {name: trial for name, trial in recorded.items() if not _is_too_short(refused.get(name))}
+    measured, signatures = _measure_all(person, whole, limits, ingest)
     session = session_of(list(measured.values()))
     bounds = _joint_limits(person, q)
     trials: dict[str, dict[str, Any]] = {}

@@ -69,15 +69,18 @@ class Walks:
         """Seeds of the twins that walked, also those whose walkers all fell."""
         return list(dict.fromkeys(row["seed"] for row in (*self.interface, *self.gait)))
 
-    def fallen(self, standing: Iterable[str]) -> str:
-        """Return a sentence on the seeds other than ``standing``, whose walkers left no value; empty without any."""
+    def fallen(self, standing: Iterable[str], which: str = "") -> str:
+        """Return a sentence on the seeds other than ``standing``, whose walkers left no value; empty without any.
+
+        ``which`` says of which walks, where there are more than one.
+        """
         lost = sorted(set(self.seeds) - set(standing))
         if not lost:
             return ""
         named = f"seed{'s' * (len(lost) > 1)} {', '.join(lost)}"
         return (
-            f"In {len(lost)} of {len(self.seeds)} seeds ({named}) all walkers fell or took no whole stride: there is "
-            "no value."
+            f"In {len(lost)} of {len(self.seeds)} seeds ({named}) all walkers fell or took no whole stride{which}: "
+            "there is no value."
         )
 
 
@@ -697,7 +700,10 @@ def _walks_without_cycles(counts: dict[tuple[str, ...], float]) -> str:
     lost = [walk for walk, count in counts.items() if not count]
     if not lost:
         return ""
-    named = ", ".join(dict.fromkeys(f"{condition} in seed {seed}" for seed, condition, *_ in lost))
+    named = ", ".join(
+        f"{condition} in seed {seed} ({robot} robot, {'aware' if aware == 'true' else 'fixed'} gait, cap {cap})"
+        for seed, condition, robot, aware, cap, _ in lost
+    )
     compared = sum(main == "true" for *_, main in lost)
     return (
         f"In {len(lost)} of {len(counts)} walks (a condition in a seed) all walkers fell or took no whole stride: "
@@ -711,7 +717,7 @@ def _rom_change(e: Evidence, claim: str) -> Finding:
     joint = _JOINTS[claim.removesuffix("_change")]
     rows = [r for r in _gait(e, "prior", joint) if r["rom_change_deg"]]
     found = [number(r["rom_change_deg"]) for r in rows]
-    fallen = e.walks.fallen(r["seed"] for r in rows)
+    fallen = e.walks.fallen((r["seed"] for r in rows), ", with the robot or in the walk without it")
     if not found:
         return e.judged(False, None, fallen)
     said = e.said(claim)

@@ -92,8 +92,8 @@ def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
     least, shares = min(named, key=lambda one: one[2]), [closed for *_, closed in named]
     text = (
         f"On the trial that was not fitted the misfit falls from {rounded(before, 2)} to {rounded(after, 2)} times "
-        f"what noise leaves (medians of {len(named)}). That closes {percent(statistics.median(shares))} of what stands "
-        "above noise"
+        f"what noise leaves{f' (medians of {len(named)})' * (len(named) > 1)}. That closes "
+        f"{percent(statistics.median(shares))} of what stands above noise"
     )
     if len(named) > 1 and percent(least[2]) != percent(statistics.median(shares)):
         text += f", for {least[0]['subject']} {percent(least[2])}"

@@ -60,11 +60,10 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     axes.set_xscale("log")
     axes.set_xlim(left, right)
     style.log_axis(axes.xaxis, left, right)
-    beside = axes.get_yaxis_transform()
     for (d, _), y in zip(shown, place, strict=True):
         text = f"{answer_words(d)} ({likely(answer_probability(d))})"
-        behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
-        axes.text(0.01, y + 0.2, text, transform=beside, va="bottom", fontsize=7, bbox=behind)
+        # right of the line of noise
+        axes.annotate(text, (1.0, y + 0.2), (4, 0), textcoords="offset points", va="bottom", fontsize=7)
     exchanged = [d.get("shown_on", d["held_out"]) != d["held_out"] for d, _ in shown]
     names = [f"{d['subject']}{'*' * other}" for (d, _), other in zip(shown, exchanged, strict=True)]
     axes.set_yticks(place, names)

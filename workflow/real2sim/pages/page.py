@@ -21,6 +21,8 @@ from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMI
 from real2sim.pages import style
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN
 
+# A cell with more characters holds a sentence
+_SENTENCE = 40
 _MARKS = {
     DETERMINED: "\N{CHECK MARK}",
     WEAK: "\N{ALMOST EQUAL TO}",
@@ -81,6 +83,8 @@ caption span { display: inline-block; width: max-content; position: sticky; left
 th, td { padding: 0.25rem 0.7rem 0.25rem 0; border-bottom: 1px solid var(--line); text-align: left;
   vertical-align: top }
 th { font-weight: 600 }
+td.sentence { min-width: 14rem }
+td .small { font-size: 0.9em }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
 .bar { display: inline-block; width: 6rem; max-width: 100%; height: 0.7rem; background: var(--tint);
   border: 1px solid var(--line); margin-right: 0.5rem }
@@ -108,6 +112,7 @@ details { margin: 0.5rem 0 }
 summary { cursor: pointer }
 footer { margin-top: 2.5rem; padding-top: 0.8rem; border-top: 1px solid var(--line); font-size: 0.85rem;
   overflow-wrap: anywhere }
+footer h2 { border: 0; margin-top: 0; padding-top: 0 }
 @media (max-width: 34rem) {
   th, td { padding-right: 0.45rem }
   table { font-size: 0.82rem }
@@ -123,6 +128,8 @@ footer { margin-top: 2.5rem; padding-top: 0.8rem; border-top: 1px solid var(--li
   figure, tr, .notice { break-inside: avoid }
   h2, h3, caption { break-after: avoid }
   table { font-size: 0.72rem }
+  th, td { overflow-wrap: anywhere }
+  td.sentence { min-width: 0 }
 }
 """.strip()
 )
@@ -214,7 +221,11 @@ def table(
     def cell(i: int, text: str) -> str:
         if i == 0:
             return f'<th scope="row">{text}</th>'
-        return f'<td class="number">{text}</td>' if i in numeric else f"<td>{text}</td>"
+        if i in numeric:
+            return f'<td class="number">{text}</td>'
+        # a sentence is not squeezed to a word per line beside columns of numbers
+        kind = ' class="sentence"' if len(text) > _SENTENCE else ""
+        return f"<td{kind}>{text}</td>"
 
     kinds = [' class="number"' if i in numeric else "" for i in range(len(head))]
     top = "".join(

@@ -37,7 +37,7 @@ def _range_panel(axes: Axes, tables: dict[str, list[dict[str, str]]], column: st
         axes.plot(*_series(rows, column), label=subject, **({"linewidth": 0.8} | look))
     _selected(axes)
     axes.set_xlabel(r"$\tilde{T}$ (1)")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.08 * max(axes.dataLim.y1, 1.0))
 
 
 def _rotation_panel(axes: Axes, tables: dict[str, list[dict[str, str]]], pooled: dict[str, Any]) -> None:

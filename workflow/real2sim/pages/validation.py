@@ -103,7 +103,9 @@ def _table(record: Mapping[str, Any], claims: Sequence[Mapping[str, Any]], words
 
 
 def _value(row: Mapping[str, Any]) -> str:
-    return percent(row["value"]) if row["wilson95"] else rounded(row["value"])
+    if row["wilson95"]:
+        return percent(row["value"], 1)
+    return percent(row["value"]) if "%" in str(row["target"]) else rounded(row["value"])
 
 
 def _interval(row: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real2sim.diagnosis.free_form import Law
-from real2sim.diagnosis.kin import is_kin, mended_by
+from real2sim.diagnosis.kin import gives_way, is_kin, mended_by
 from real2sim.diagnosis.misfit import _reach
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
@@ -78,6 +78,19 @@ def test_displacements_are_kin_of_what_they_are_a_case_of():
 def test_a_law_on_top_mends_a_name_of_its_kind_or_with_any_history(kind, law_axis, mended):
     named, law = _named("relaxation", "ty"), _law(_family(kind, law_axis))
     assert mended_by(law, named) == (frozenset({"relaxation"}) if mended else frozenset())
+
+
+@pytest.mark.parametrize(
+    ("kind", "axis", "by_name", "gives"),
+    [
+        ("external force", "ty", 90.0, True),
+        ("external force", "ty", 80.0, False),  # the name explains too little
+        ("external force", "tx", 90.0, False),  # of another axis
+        ("elastic", "ty", 90.0, False),  # predicts, and may be the better law
+    ],
+)
+def test_a_free_history_gives_way_to_a_name_of_its_axis_that_gains_as_much(kind, axis, by_name, gives):
+    assert gives_way(_law(_family(kind, axis)), _named("coulomb", "ty"), (by_name, 100.0), 0.15) is gives
 
 
 def test_effects_name_families_that_exist():

@@ -188,7 +188,7 @@ def test_everything_about_the_person_is_told(whole):
     assert "J is 2.5 % above a full calibration's with 7.9 % of the evaluations" in page.text
     assert "It misses the bar" in page.text
     assert "J would fall by 2.0 % (d_tx 99)" in page.text
-    assert "Every trial speaks against the prior of k_tz: refinement.also_free" in page.text
+    assert "Every trial speaks against the prior of k_tz. To refine such a parameter too" in page.text
     assert "Slack causes the gap" in page.text
     assert "rests on synthetic people" in page.text
     assert "\N{MINUS SIGN}100.0" in page.text, "limits in mm"

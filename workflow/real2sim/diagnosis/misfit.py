@@ -18,7 +18,7 @@ import numpy as np
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.decide import Decision, decide
 from real2sim.diagnosis.free_form import Law, Measured, measure
-from real2sim.diagnosis.kin import is_kin_of
+from real2sim.diagnosis.kin import gives_way, is_kin_of
 from real2sim.diagnosis.law import named_family, size
 from real2sim.diagnosis.layers import Layers
 from real2sim.diagnosis.refit import Hypothesis
@@ -103,16 +103,20 @@ def told_apart(
 ) -> tuple[Decision, Misfit]:
     """Return the decision with the measured law among the candidates, and the misfit with that law's probability.
 
-    A law of the kind and place of a named effect does not compete: it is that effect with another equation.
+    A law of the kind and place of a named effect does not compete: it is that effect with another equation. Nor does a
+    free history on the effect's axis that gains hardly more.
     """
     named = chosen(found.attribution, decision)
     if misfit.measured is None or not misfit.measured.laws:
         return decision, misfit
     measured, law = misfit.measured, misfit.measured.laws[0]
     main_share = options["free_form"]["main_share"]
-    if not is_kin_of(law, named, measured.library, found.pair, main_share):
+    if decision.chosen is not None and not is_kin_of(law, named, measured.library, found.pair, main_share):
         plain, sets = candidates_of(found, options)
         rival = found.candidate(law.hypothesis, options, [f.key for f in law.families])
+        by_name, by_law = (plain.deviance - x.deviance for x in (sets[decision.chosen], rival))
+        if gives_way(law, named, (by_name, by_law), options["search"]["grow_share"]):
+            return decision, misfit
         with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])
         misfit = replace(misfit, rival=float(with_rival.sets[-1]))
         decision = replace(with_rival, sets=with_rival.sets[:-1])

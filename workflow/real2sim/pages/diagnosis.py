@@ -608,7 +608,7 @@ def _where(d: Mapping[str, Any]) -> str:
             place,
             "place",
             f"Shares of the plain model's J above noise on {trial}, by place. Stages show the probability of their "
-            "effects and of laws measured there; what they lack to 100 % is none, and unknown without a law.",
+            "effects and of laws measured there; the rest to 100 % is none, and unknown without a measured law.",
         ),
         _panels(
             d,
@@ -912,7 +912,7 @@ def _parameters(d: Mapping[str, Any]) -> str:
         ],
         rows,
         caption="The parameters of the interface, fitted on the training trial, less what noise of the replayed pelvis "
-        "adds where that stands out. The interval is about where they would be without it",
+        "adds where that stands out; the intervals are those of the values after that correction",
         numeric=(1, 2) if same else (1, 2, 3, 4),
     )
     if same:
@@ -979,7 +979,8 @@ def _ratio_figure(d: Mapping[str, Any], ratios: Mapping[str, float]) -> str:
             "ratios",
             f"Ratio of each parameter with the {_remedy(d)} to its plain value. Largest change: {most[1]}, "
             f"{rounded(most[0])} times.",
-            f"Each parameter with the {_remedy(d)} over its plain value. What that takes on, they need not mimic.",
+            f"Each parameter with the {_remedy(d)} in the model over its value in the plain model, which mimics the "
+            "gap by wrong parameters as far as it can.",
         )
 
 

@@ -125,11 +125,12 @@ def _answer(ranked: Sequence[Cause], others: Sequence[Cause], largest: float) ->
     if not ranked:
         return "No cohort costs this J."
     text = (
-        "None makes them all: where half of the causes miss a number by 1, the nearest miss it by "
-        f"{rounded(ranked[0]['distance'], 2)} on average. They are {_near(ranked, 'not_told_apart')}. Priors and what "
-        "lies at bounds hang on which parameters the people truly have, which in the study nobody knows; without these "
-        f"two the nearest are {_near(ranked, 'not_told_apart_free')}. What stands together cannot be told apart by "
-        "these numbers. In brackets: size, over the largest that is published."
+        "No cause makes all of the paper's numbers. In units of what causes usually miss a number by (the median of "
+        f"all causes), the nearest miss them by {rounded(ranked[0]['distance'], 2)} on average. They are "
+        f"{_near(ranked, 'not_told_apart')}. Priors and what lies at bounds hang on which parameters the people truly "
+        "have, which in the study nobody knows; without these two the nearest are "
+        f"{_near(ranked, 'not_told_apart_free')}. Causes that are listed together cannot be told apart by these "
+        "numbers. In brackets: size, over the largest that is published."
     )
     modest = [c for c in ranked if (c.get("size_median") or 0.0) <= 1]
     if modest:

@@ -501,8 +501,8 @@ def _more(refined: Mapping[str, Any]) -> str:
     caption = "One fixed parameter free at a time, inside the search bounds"
     numeric = tuple(i for k in range(len(gained)) for i in (1 + 3 * k, 2 + 3 * k))
     said = (
-        f"Every trial speaks against the prior of {', '.join(against)}: refinement.also_free frees them by name. What"
-        " the model lacks (see the diagnosis) shows here too."
+        f"Every trial speaks against the prior of {', '.join(against)}. To refine such a parameter too, name it under"
+        " refinement.also_free. What the model lacks (see the diagnosis) shows here as well."
         if against
         else "No fixed parameter's prior is contradicted by every trial."
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,10 @@ from real2sim.errors import InputError
 from real2sim.pages.quality import quality_figure
 from real2sim.recording.formats.robot_log import read_log, write_log
 from real2sim.recording.quality import clocks, markers
-from real2sim.recording.quality.gates import bandwidth_hz, noise_cost, reversals
+from real2sim.recording.quality.gates import _of_clocks, bandwidth_hz, noise_cost, reversals
 from real2sim.recording.quality.measure import _robot_clock
 from real2sim.recording.quality.stage import quality_subject, quality_table
-from real2sim.recording.quality.verdict import by_size, require
+from real2sim.recording.quality.verdict import REFUSE, WARN, Gate, by_size, require
 from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
@@ -160,6 +161,12 @@ def test_file_of_another_trial_is_refused(tmp_path):
     path.write_text(json.dumps({"subject": "S01", "trial": "dynamic_2", "refused": [], "override": None}))
     with pytest.raises(InputError, match="dynamic_2"):
         require([path], "dynamic_1")
+
+
+def test_clocks_do_not_refuse_somebody_who_stands():
+    gate = Gate("robot_drift", REFUSE, 2968.0, "ppm", [50.0, 500.0], "drifts", "Synchronise.")
+    for kind, verdict in (("neutral", WARN), ("dynamic", REFUSE)):
+        assert [g.verdict for g in _of_clocks(SimpleNamespace(kind=kind), [gate])] == [verdict]
 
 
 def test_verdict_by_size():

@@ -18,6 +18,7 @@ from real2sim.diagnosis.attribute import (
     _other_forms,
     _other_laws,
     _pairs,
+    _plainer,
     _promising,
     _pruned,
     _redrawn,
@@ -539,6 +540,31 @@ def test_the_best_hypothesis_of_each_effect_comes_in_the_order_of_the_best():
 
     found = [single("coulomb", 0), single("preload", 1), single("coulomb", 2)]
     assert [h.key for h in _first_of_each(found, lambda h: h.names[0])] == ["coulomb tx", "preload ty"]
+
+
+def test_plainer_forms_are_tried_of_a_law_that_fits_unlisted_ones_too():
+    """Two time constants cost a set its certainty, which one may do without."""
+
+    class Fits(_Stuck):
+        def screen(self, smaller, places):
+            assert [p.effect.name for p in smaller.effects] == ["stiffening"]
+            return [SimpleNamespace(effects=(*smaller.effects, place)) for place in places]
+
+        def fit_screened(self, screened):
+            return SimpleNamespace(effects=screened.effects)
+
+    def on_tx(name, form=""):
+        effect = next(e for e in EFFECTS if e.name == name and e.form == form)
+        return Placed(effect, next(w for w in effect.places(STRAP) if w.axis_names == ["tx"]), SCALES)
+
+    flexible, stiffening = on_tx("relaxation", "_two_times"), on_tx("stiffening")
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]
+    z = np.concatenate([np.zeros(12), flexible.starts()[0], stiffening.starts()[0]])
+    best = Hypothesis((flexible, stiffening), z, (5000.0, 5000.0))
+    tried = _plainer(Fits(), None, [best], everything)
+    assert {h.effects[1].key for h in tried} == {on_tx("relaxation").key, on_tx("relaxation", "_flow").key}
+    plain = Hypothesis((stiffening,), np.concatenate([np.zeros(12), stiffening.starts()[0]]), (1.0, 1.0))
+    assert _plainer(Fits(), None, [plain], everything) == []
 
 
 def test_a_set_is_pruned_down_to_single_effects():

@@ -237,7 +237,7 @@ def _several(
         if min(sum(h.chi2) for h in out) in {sum(h.chi2) for h in grown}:
             out += _swapped(search, out, everything, settings)
         out += _swapped_together(search, out, everything)
-    return _best_of_each(out + _pruned(search, out))
+    return _best_of_each([*out, *_plainer(search, plain, out, everything), *_pruned(search, out)])
 
 
 def _neighbours(
@@ -690,6 +690,32 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
             smaller.append(search.fit(effects, np.concatenate([best.base, *(parts[i] for i in keep)])))
         out += smaller
         best = min(smaller, key=lambda h: sum(h.chi2))
+    return out
+
+
+def _plainer(
+    search: Search, plain: Hypothesis, found: Sequence[Hypothesis], everything: Sequence[Placed]
+) -> list[Hypothesis]:
+    """The best set with plainer forms of the members that fit unlisted laws as often as their own.
+
+    Such a form costs its set a share of the probability: a form of fewer numbers that does as well bears no such doubt.
+    """
+    best = min(found, key=lambda h: sum(h.chi2))
+    parts, out = best.split(), []
+    for member, placed in enumerate(best.effects):
+        if not placed.effect.indistinguishable:
+            continue
+        plainer = [
+            p
+            for p in everything
+            if p.effect.name == placed.effect.name
+            and not p.effect.indistinguishable
+            and _same_place(placed, p)
+        ]
+        keep = [i for i in range(len(best.effects)) if i != member]
+        z = np.concatenate([best.base, *(parts[i] for i in keep)])
+        smaller = search.fit(tuple(best.effects[i] for i in keep), z) if keep else plain
+        out += [search.fit_screened(screened) for screened in search.screen(smaller, plainer)]
     return out
 
 

@@ -394,6 +394,28 @@ def test_a_marker_that_is_labelled_and_never_seen_is_taken_as_not_there(copy):
     assert "LHEE" not in quality(out, "dynamic_1")["markers"]
 
 
+def _exchange(folder, name):
+    def labels(positions):
+        return positions | {"PSIS_R": positions["PSIS_L"], "PSIS_L": positions["PSIS_R"]}
+
+    change_markers(folder / f"{name}.tsv", labels)
+
+
+def test_labels_that_are_exchanged_in_neutral_alone_are_its_fault(copy):
+    folder, run = copy
+    _exchange(folder, "neutral")
+    text = refusal(run)
+    assert "neutral.tsv, PSIS_L and PSIS_R" in text
+    assert "neutral_swap" in text
+
+
+def test_labels_that_are_exchanged_in_one_trial_are_exchanged_back(copy):
+    folder, run = copy
+    _exchange(folder, "dynamic_1")
+    found = _findings(run(), "dynamic_1")
+    assert {"marker_swap", "marker_swap_whole"} <= set(found)
+
+
 def test_markers_that_a_lab_numbers_keep_their_names(copy):
     folder, run = copy
     for name in TRIALS:

@@ -202,6 +202,10 @@ def _repair_swaps(
         place = f"{swap.first} and {swap.second}, rows {swap.start + 1} to {swap.stop}"
         message = f"labels exchanged over {swap.stop - swap.start} frames"
         trial.note("marker_swap", "warning", trial.tsv, place, message, "exchanged back")
+        share = (swap.stop - swap.start) / len(recording.time_s)
+        if reference is not None and share >= trial.settings["min_complete"]:
+            pair, message = f"{swap.first} and {swap.second}", "exchanged throughout, against neutral"
+            trial.note("marker_swap_whole", "warning", trial.tsv, pair, message, "exchanged back")
     positions = recording.positions | (markers.repaired(recording.positions, swaps) if swaps else {})
     width = float(rigid[-1]) if np.isfinite(rigid[-1]) else None
     return MarkerRecording(recording.time_s, recording.rate_hz, positions, recording.first_frame), width
@@ -883,6 +887,7 @@ def ingest_subject(
     _check_files(person.trials, folder, raw)
     neutral = out / "neutral" / "quality.json"
     absent = set(person.markers)
+    exchanged: list[str] = []
     for trial in sorted(person.trials, key=lambda name: (name != "neutral", name)):
         quality = ingest_trial(
             subject=subject,
@@ -895,6 +900,7 @@ def ingest_subject(
             out=out / trial,
         )
         absent &= set(quality["names_absent"])
+        exchanged += [f["place"] for f in quality["findings"] if f["code"] == "marker_swap_whole"]
         warnings = sum(finding["severity"] != "info" for finding in quality["findings"])
         markerless = quality["markerless"]
         print(
@@ -904,12 +910,28 @@ def ingest_subject(
         )
     for trial, reason in person.exclude.items():
         print(f"{subject} {trial}: excluded ({reason})", flush=True)
+    _check_neutral(person.trials, exchanged)
     if absent:
         found = f"{', '.join(sorted(absent))}, which no marker or landmark of any trial is called"
         remedy = "correct the name, or remove the line"
         raise InputError(
             folder / SUBJECT_FILE, "key markers", found, "names of the recordings", remedy, "marker_source"
         )
+
+
+def _check_neutral(trials: dict[str, TrialFiles], exchanged: list[str]) -> None:
+    """Refuse ``neutral`` where most other trials have the same two labels exchanged against it throughout.
+
+    ``exchanged`` names the pair of every such trial. One trial may be labelled wrongly; of most, ``neutral`` is.
+    """
+    for pair in sorted(set(exchanged)):
+        count, others = exchanged.count(pair), len(trials) - 1
+        if count > 1 and 2 * count > others:
+            found = f"{pair} exchanged in {count} of {others} other trials, throughout and against this one"
+            remedy = "exchange the two labels in neutral in QTM, and export it again"
+            raise InputError(
+                trials["neutral"].markers, pair, found, "the labels of the others", remedy, "neutral_swap"
+            )
 
 
 def _check_files(trials: dict[str, TrialFiles], folder: Path, raw: list[Path]) -> None:

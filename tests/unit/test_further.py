@@ -63,6 +63,22 @@ def test_the_predictive_likelihood_is_that_of_a_gaussian(pair):
     assert all(f.chi2 > 0 for f in found)
 
 
+def test_what_only_a_third_trial_tells_pays_for_its_own_prior(pair):
+    """A number that two trials say nothing of is known to lie between its bounds, and no worse."""
+    two, trial = pair
+    for evidence in (two.train, two.held_out):
+        evidence.matrix[:, 0] = 0.0
+    uniform = 12 / 2000.0**2
+    assert information(two, _at_optimum(two))[0, 0] == pytest.approx(uniform)
+    third = trial(5)
+    third.matrix[:, 1:] = 0.0
+    told = float(third.matrix[:, 0] @ third.matrix[:, 0])
+    fit = _at_optimum(two)
+    third.measured = third.matrix @ fit.z
+    found = predict_further(two, fit, [third], np.inf)[0]
+    assert found.occam == pytest.approx(np.log1p(told / uniform), rel=1e-6)
+
+
 def test_a_step_beyond_what_a_tangent_bears_is_not_taken(pair):
     two, trial = pair
     third = trial(5, 1e-3)

@@ -15,10 +15,17 @@ from real2sim.errors import InputError
 from real2sim.pages.quality import quality_figure
 from real2sim.recording.formats.robot_log import read_log, write_log
 from real2sim.recording.quality import clocks, markers
-from real2sim.recording.quality.gates import _of_clocks, bandwidth_hz, noise_cost, reversals
+from real2sim.recording.quality.gates import (
+    _frame_robot,
+    _gaps,
+    _of_clocks,
+    bandwidth_hz,
+    noise_cost,
+    reversals,
+)
 from real2sim.recording.quality.measure import _robot_clock
 from real2sim.recording.quality.stage import quality_subject, quality_table
-from real2sim.recording.quality.verdict import REFUSE, WARN, Gate, by_size, require
+from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size, require
 from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
@@ -117,43 +124,70 @@ def test_refused_trial_is_held_back_unless_overridden_by_name(few, tmp_path):
     assert (tmp_path / "gates.png").stat().st_size > 10_000
 
 
-def test_unreadable_trial_is_refused_and_the_others_are_judged(few, tmp_path):
-    copy = tmp_path / "x" / "raw" / "S01"
-    shutil.copytree(few / "raw" / "S01", copy)
-    (copy / "dynamic_2.tsv").write_text("nothing\n")
+def _copied(few, tmp_path):
+    """Folder of a copy of the raw files of the person with few trials."""
+    return shutil.copytree(few / "raw" / "S01", tmp_path / "x" / "raw" / "S01")
+
+
+def _refused(tmp_path, trial):
+    """Gates that refuse a trial of the copy, whose dynamic_1 passes."""
     _run(tmp_path / "x", tmp_path / "out")
-    assert read_json(tmp_path / "out" / "dynamic_2.json")["refused"][0]["gate"] == "readable"
     assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
+    return read_json(tmp_path / "out" / f"{trial}.json")["refused"]
+
+
+def test_unreadable_trial_is_refused_and_the_others_are_judged(few, tmp_path):
+    (_copied(few, tmp_path) / "dynamic_2.tsv").write_text("nothing\n")
+    assert _refused(tmp_path, "dynamic_2")[0]["gate"] == "readable"
 
 
 def test_a_log_of_part_of_a_sweep_is_refused_before_it_makes_limits(few, tmp_path):
-    copy = tmp_path / "x" / "raw" / "S01"
-    shutil.copytree(few / "raw" / "S01", copy)
-    path = copy / "rotation_T10.mcap"
+    path = _copied(few, tmp_path) / "rotation_T10.mcap"
     log = read_log(path)
     for times, kept in ((log.base_time_s, log.base), (log.joint_time_s, log.joints)):
         part = times <= times[0] + 4.0
         kept.update({name: values[part] for name, values in kept.items()})
     arm, base = (t[t <= t[0] + 4.0] for t in (log.joint_time_s, log.base_time_s))
     write_log(path, replace(log, base_time_s=base, joint_time_s=arm))
-    _run(tmp_path / "x", tmp_path / "out")
-    refused = read_json(tmp_path / "out" / "rotation_T10.json")["refused"]
+    refused = _refused(tmp_path, "rotation_T10")
     assert [gate["gate"] for gate in refused] == ["completeness"]
     assert "all six coordinates of the interface are known in" in refused[0]["message"]
-    assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
 
 
 def test_a_log_of_one_message_is_refused_and_the_others_are_judged(few, tmp_path):
-    copy = tmp_path / "x" / "raw" / "S01"
-    shutil.copytree(few / "raw" / "S01", copy)
-    path = copy / "dynamic_2.mcap"
+    path = _copied(few, tmp_path) / "dynamic_2.mcap"
     log = read_log(path)
     joints = {name: values[:1] for name, values in log.joints.items()}
     write_log(path, replace(log, joint_time_s=log.joint_time_s[:1], joints=joints))
-    _run(tmp_path / "x", tmp_path / "out")
-    refused = read_json(tmp_path / "out" / "dynamic_2.json")["refused"]
-    assert "1 of /joint_states" in refused[0]["message"]
-    assert read_json(tmp_path / "out" / "dynamic_1.json")["verdict"] == "pass"
+    assert "1 of /joint_states" in _refused(tmp_path, "dynamic_2")[0]["message"]
+
+
+def test_a_strap_that_nobody_wears_has_no_gaps():
+    gap = markers.Gap("IF_L", 0, 1000)
+    for kind, verdict in (("walk_normal", PASS), ("dynamic", REFUSE)):
+        trial = SimpleNamespace(kind=kind, gaps=[gap], rate=SimpleNamespace(declared=100.0))
+        assert _gaps(trial, CONFIG["quality"]).verdict == verdict
+    seen = {"ASIS_L": np.full((5, 3), np.nan), "IF_L": np.full((5, 3), np.nan), "IF_R": np.zeros((5, 3))}
+    assert set(markers.without_unseen(seen, markers.needed("walk_normal"))) == {"ASIS_L", "IF_R"}
+    assert set(markers.without_unseen(seen, markers.needed("dynamic"))) == set(seen)
+
+
+@pytest.mark.parametrize(
+    ("seen_deg", "verdict"),
+    [
+        ({}, REFUSE),  # no other system tells
+        ({"walk": 0.0}, WARN),
+        ({"walk": 4.0}, REFUSE),  # the lab did turn
+    ],
+)
+def test_an_odometry_that_starts_anew_turns_no_lab(seen_deg, verdict):
+    trial = SimpleNamespace(name="walk", robot=SimpleNamespace(clock=None))
+    session = SimpleNamespace(
+        heading_rad={"walk": np.radians(4.0)},
+        heading_sd_rad=0.0,
+        turned={name: np.radians([0.0, 0.0, turn]) for name, turn in seen_deg.items()},
+    )
+    assert _frame_robot(trial, session, CONFIG["quality"]).verdict == verdict
 
 
 def test_file_of_another_trial_is_refused(tmp_path):

@@ -152,6 +152,26 @@ def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):
     assert "transfer.csv" in page.text
 
 
+def test_what_costs_less_than_a_fit_says_that_its_search_has_not_converged(report, tmp_path):
+    assert "Searches have not converged" not in _parsed(report[0])[0].text
+    rows = read_table(report[1]["loso"])
+    rows[0]["overhead_J_percent"] = "-8.1"
+    write_table(tmp_path / "loso.csv", list(rows[0]), rows)
+    out = tmp_path / "report.html"
+    report_page(**report[1] | {"loso": tmp_path / "loso.csv"}, title="Study", out=out)
+    text = _parsed(out)[0].text
+    assert f"{rows[0]['subject']} (prior of the others \N{MINUS SIGN}8.1 %)" in text
+
+
+def test_intervals_of_a_model_that_lacks_something_say_so(report, tmp_path):
+    said = "These intervals hold for a model that lacks nothing"
+    assert said in _parsed(report[0])[0].text
+    write_json(tmp_path / "diagnosis.json", _diagnosis("none"))
+    out = tmp_path / "report.html"
+    report_page(**report[1], title="Study", out=out, diagnoses=[tmp_path / "diagnosis.json"])
+    assert said not in _parsed(out)[0].text
+
+
 def test_claims_by_the_plain_fits_of_fewer_trials_have_a_column(report, tmp_path):
     page, content = _with_causes(tmp_path, report[1], same_trials="913")
     assert content.count('<td class="number">913</td>') == 1

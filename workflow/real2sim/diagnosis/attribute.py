@@ -674,6 +674,14 @@ def _alike(one: Placed, other: Placed) -> bool:
     return are_confusable(one.effect.name, other.effect.name)
 
 
+def _without_member(hypothesis: Hypothesis, member: int) -> tuple[tuple[Placed, ...], np.ndarray]:
+    """Effects of a set but for one of them, and the searched numbers (n + p,) that these have in the set."""
+    keep = [i for i in range(len(hypothesis.effects)) if i != member]
+    parts = hypothesis.split()
+    z = np.concatenate([hypothesis.base, *(parts[i] for i in keep)])
+    return tuple(hypothesis.effects[i] for i in keep), z
+
+
 def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best set with each of its members left out, from the set's values; so on with the best of those.
 
@@ -683,11 +691,7 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     while len(best.effects) > 1:
-        parts, smaller = best.split(), []
-        for left_out in range(len(best.effects)):
-            keep = [i for i in range(len(best.effects)) if i != left_out]
-            effects = tuple(best.effects[i] for i in keep)
-            smaller.append(search.fit(effects, np.concatenate([best.base, *(parts[i] for i in keep)])))
+        smaller = [search.fit(*_without_member(best, member)) for member in range(len(best.effects))]
         out += smaller
         best = min(smaller, key=lambda h: sum(h.chi2))
     return out
@@ -701,7 +705,7 @@ def _plainer(
     Such a form costs its set a share of the probability: a form of fewer numbers that does as well bears no such doubt.
     """
     best = min(found, key=lambda h: sum(h.chi2))
-    parts, out = best.split(), []
+    out: list[Hypothesis] = []
     for member, placed in enumerate(best.effects):
         if not placed.effect.indistinguishable:
             continue
@@ -712,9 +716,7 @@ def _plainer(
             and not p.effect.indistinguishable
             and _same_place(placed, p)
         ]
-        keep = [i for i in range(len(best.effects)) if i != member]
-        z = np.concatenate([best.base, *(parts[i] for i in keep)])
-        smaller = search.fit(tuple(best.effects[i] for i in keep), z) if keep else plain
+        smaller = search.fit(*_without_member(best, member)) if len(best.effects) > 1 else plain
         out += [search.fit_screened(screened) for screened in search.screen(smaller, plainer)]
     return out
 

@@ -40,21 +40,15 @@ def mended_by(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None
     )
 
 
-def gives_way(
-    law: Law,
-    named: Hypothesis,
-    gains: tuple[float, float],
-    share: float,
-    told: Mapping[str, Any] | None = None,
-) -> bool:
+def gives_way(law: Law, named: Hypothesis, gains: tuple[float, float], share: float) -> bool:
     """Return whether a free history says nothing against a named set on its axis, which gains nearly as much.
 
     Such a history can imitate every law of its axis and predicts nothing; a name predicts, as a measured law does that
     goes before a history (`free_form.measure`). ``gains`` are what set and law take from the deviance of the plain
-    plant, ``share`` is `diagnosis.search.grow_share`; ``told`` as of `is_kin`.
+    plant, ``share`` is `diagnosis.search.grow_share`.
     """
     by_name, by_law = gains
-    return law.is_free and bool(mended_by(law, named, told)) and by_name > (1 - share) * by_law
+    return law.is_free and bool(mended_by(law, named)) and by_name > (1 - share) * by_law
 
 
 def is_kin(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -> bool:

@@ -113,11 +113,9 @@ class Screened:
 def conflict(effects: Sequence[Placed]) -> bool:
     """Return whether effects exclude each other.
 
-    Two cannot both stand for the spring of one axis, nor two forms of one law for what it does there, nor both carry
-    the arm, nor write the same of the plant.
+    Two cannot both stand for the spring of one axis, nor two forms of one law for what it does there, nor write the
+    same of the plant.
     """
-    if sum(placed.effect.plant.carries_arm for placed in effects) > 1:
-        return True
     written = [what for placed in effects for what in placed.effect.plant.overwrites(placed.where)]
     if len(written) != len(set(written)):
         return True

@@ -164,8 +164,6 @@ class Mechanism:
         Parts into which the time step has to be divided.
     replaces_spring
         The spring of the axis is replaced: no two such effects on one axis.
-    carries_arm
-        Joints of its own carry the arm: a body has at most six degrees of freedom, so no two such effects.
     planned
         Part of the force is fed in as a control, so that an exported model lacks it.
     control_is_force
@@ -192,7 +190,6 @@ class Mechanism:
     order: int = 0
     substeps: int = 1
     replaces_spring: bool = False
-    carries_arm: bool = False
     planned: bool = False
     control_is_force: bool = True
     sticks: bool = False

@@ -24,6 +24,10 @@ from real2sim.system.description import ARM_JOINTS, BASE_JOINTS
 LOADS = ("added_mass", "base_compliance", "controller_reaction")
 
 
+# What a mechanism overwrites whose joints carry the arm
+_CARRIER = frozenset({"carrier of the arm"})
+
+
 def impedance_of(joints: tuple[str, ...]) -> frozenset[str]:
     """Return what a mechanism overwrites that writes stiffness and damping of some joints of the robot."""
     return frozenset(f"impedance of {joint}" for joint in joints)
@@ -208,8 +212,11 @@ class Rocking(Mechanism):
     that rock beside the arm [kg m2]. The hinges are hidden and carry the arm.
     """
 
-    carries_arm = True
     kinds = ("place", "dissipative")
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it carries the arm: a body's six degrees of freedom are those of one carrier and its own."""
+        return _CARRIER
 
     def _names(self, where: Where) -> list[str]:
         return [f"rocking_{axis}_{where.element}" for axis in ("roll", "pitch")]
@@ -238,8 +245,11 @@ class Bending(Mechanism):
     carry the arm.
     """
 
-    carries_arm = True
     kinds = ("place", "dissipative")
+
+    def overwrites(self, where: Where) -> frozenset[str]:
+        """Return that it carries the arm: a body's six degrees of freedom are those of one carrier and its own."""
+        return _CARRIER
 
     def _names(self, where: Where) -> list[str]:
         return [f"bending_{axis}_{where.element}" for axis in "xy"]

@@ -328,7 +328,9 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
         parts.append(paragraph(what))
     if chi2_per_residual(d) is not None:
         summary = "The same as cost J, which the study minimises"
-        parts.append(f"<details><summary>{summary}</summary>\n{paragraph(_as_cost(d))}\n</details>")
+        parts.append(
+            f"<details><summary>{summary}</summary>\n{paragraph(_sentence(_as_cost(d)) + '.')}\n</details>"
+        )
     return [part for part in parts if part != "<p></p>"]
 
 
@@ -420,7 +422,7 @@ def _robot_words(name: str) -> str:
 
 def _verdict(d: Mapping[str, Any]) -> str:
     """Cause, probability and what is left above noise, in one sentence; in J where an old answer has nothing else."""
-    p, left = d["probabilities"], _beyond_noise(d) or _as_cost(d).removesuffix(".")
+    p, left = d["probabilities"], _beyond_noise(d) or _as_cost(d)
     if d["verdict"] == "none" and other_robot(d):
         claim = "The plain model with another robot explains the gap"
     elif d["verdict"] == "none":
@@ -462,7 +464,7 @@ def _beyond_noise(d: Mapping[str, Any]) -> str:
 
 
 def _as_cost(d: Mapping[str, Any]) -> str:
-    """The same in J, the cost that the study minimises, in one sentence."""
+    """The same in J, the cost that the study minimises."""
     gap = d["gap"]
     base, floor, after = (rounded(gap[key], 4) for key in ("J_base", "J_floor", "J_with_effect"))
     if d["verdict"] == "none" and not other_robot(d):
@@ -475,7 +477,7 @@ def _as_cost(d: Mapping[str, Any]) -> str:
         text = f"the plain model costs J = {base}{with_law} where noise alone costs {floor}{tried}"
     else:
         text = _left(d, base, floor, after)
-    return f"On {_shown_words(d)}, {text}."
+    return f"on {_shown_words(d)}, {text}"
 
 
 def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
@@ -582,10 +584,8 @@ def _place(d: Mapping[str, Any]) -> str:
 
 
 def _j_shows(d: Mapping[str, Any]) -> bool:
-    """Return whether J stands far enough above its noise floor for a share of it to mean something."""
-    closed = [cause.get("gap_closed") for cause in d["causes"]]
-    law = _law(d)
-    return any(c is not None for c in closed) or (law is not None and law["gap_closed"] is not None)
+    """Return whether J of the plain model lies above the interval of what noise alone costs."""
+    return bool(d["gap"]["J_base"] > d["noise_floor"]["ci95"][1])
 
 
 def _where(d: Mapping[str, Any]) -> str:

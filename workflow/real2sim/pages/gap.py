@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from real2sim.pages.page import likely
 
 _KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")
 _ROW_IN, _FRAME_IN = 0.36, 1.0
+# Characters of an answer in a line: what stands right of the line of noise, however small the gaps are
+_LABEL_WIDTH = 38
 
 
 def gap_figure(*, diagnoses: list[Path], out: list[Path]) -> None:
@@ -60,13 +63,18 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
     axes.set_xscale("log")
     axes.set_xlim(left, right)
     style.log_axis(axes.xaxis, left, right)
-    for (d, _), y in zip(shown, place, strict=True):
-        text = f"{answer_words(d)} ({likely(answer_probability(d))})"
-        # right of the line of noise
-        axes.annotate(text, (1.0, y + 0.2), (4, 0), textcoords="offset points", va="bottom", fontsize=7)
+    words = [f"{answer_words(d)} ({likely(answer_probability(d))})" for d, _ in shown]
+    labels = ["\n".join(textwrap.wrap(text, _LABEL_WIDTH)) for text in words]
+    for text, y in zip(labels, place, strict=True):
+        # right of the line of noise; the axes stay as wide for any answer
+        beside = axes.annotate(
+            text, (1.0, y + 0.2), (4, 0), textcoords="offset points", va="bottom", fontsize=7, linespacing=1.0
+        )
+        beside.set_in_layout(False)
     exchanged = [d.get("shown_on", d["held_out"]) != d["held_out"] for d, _ in shown]
     names = [f"{d['subject']}{'*' * other}" for (d, _), other in zip(shown, exchanged, strict=True)]
     axes.set_yticks(place, names)
-    axes.set_ylim(-0.5, len(shown) - 0.3)
-    words = "misfit of the held-out trial (chi-squared per residual)"
-    axes.set_xlabel(words + "\n* of the fitted trial, which alone shows the gap" * any(exchanged))
+    lines = labels[-1].count("\n") + 1
+    axes.set_ylim(-0.5, len(shown) - 0.6 + 0.3 * lines)
+    about = "misfit of the held-out trial (chi-squared per residual)"
+    axes.set_xlabel(about + "\n* of the fitted trial, which alone shows the gap" * any(exchanged))

@@ -928,7 +928,7 @@ def _check_neutral(trials: dict[str, TrialFiles], exchanged: list[str]) -> None:
         count, others = exchanged.count(pair), len(trials) - 1
         if count > 1 and 2 * count > others:
             found = f"{pair} exchanged in {count} of {others} other trials, throughout and against this one"
-            remedy = "exchange the two labels in neutral in QTM, and export it again"
+            remedy = "exchange the two labels in neutral in QTM, or in the others if neutral is right; export again"
             raise InputError(
                 trials["neutral"].markers, pair, found, "the labels of the others", remedy, "neutral_swap"
             )

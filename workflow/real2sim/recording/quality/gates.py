@@ -477,8 +477,9 @@ def _frame_robot(m: Measured, session: Session, settings: QualitySettings) -> Ga
         parts.append(
             (abs(turn), f"the robot's heading is {turn:+.2f} deg from that in the person's other trials")
         )
-        # odometry that was started anew turns the robot's heading, and not the lab
-        alone = m.name in session.turned and abs(np.degrees(session.turned[m.name][2])) < limits["warn"]
+        # odometry that was started anew turns the robot's heading, and not the lab, which the other system sees too
+        still = settings["frame_markerless"]["warn"]
+        alone = m.name in session.turned and abs(np.degrees(session.turned[m.name][2])) < still
         verdict = by_size(abs(turn), thresholds)
         verdicts.append(WARN if alone and verdict == REFUSE else verdict)
     if not parts:

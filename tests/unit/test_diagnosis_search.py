@@ -618,6 +618,30 @@ def test_slopes_are_asked_for_at_the_start_that_the_base_brings_lowest():
     assert chosen == [0, 1]
 
 
+@pytest.mark.parametrize(("name", "form", "rounds"), [("coulomb", "", 1), ("stiffening", "", 3)])
+def test_starts_that_cannot_be_weakened_are_simulated_once(name, form, rounds):
+    effect = next(e for e in EFFECTS if (e.name, e.form) == (name, form))
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
+    asked = []
+
+    def too_much(z):
+        asked.append(z[:, -1].tolist())
+        return np.full((len(z), 1), 10.0)
+
+    residuals = SimpleNamespace(
+        many=too_much,
+        jacobian=lambda z, r, free: np.zeros((1, 1)),
+        evaluations=0,
+        lower=np.full(13, -5.0),
+        upper=np.full(13, 5.0),
+    )
+    search = Search(Pair(None, None, STRAP), CONFIG["diagnosis"]["search"])
+    search._residuals = lambda effects: residuals
+    search._screen_one((placed,), Tangent(np.zeros(12), np.ones(1), np.zeros((1, 12))))
+    assert len(asked) == rounds
+    assert len({tuple(starts) for starts in asked}) == rounds
+
+
 def test_numbers_of_an_effect_and_its_values_are_inverse():
     rng = np.random.default_rng(3)
     for effect in EFFECTS:

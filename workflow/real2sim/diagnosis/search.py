@@ -486,10 +486,16 @@ def _together(here: Tangent, one: Beside, other: Beside) -> Beside:
 
 
 def _weakened(placed: Placed, x: np.ndarray, count: int) -> Iterator[np.ndarray]:
-    """Yield a start (p,) of an effect, or several (s, p), then weaker and weaker ones, ``count`` in all."""
+    """Yield a start (p,) of an effect, or several (s, p), then weaker and weaker ones, ``count`` in all.
+
+    Logarithms are not weakened: starts of an effect that has nothing else come once.
+    """
     for _ in range(count):
         yield x
-        x = placed.weaker(x)
+        weaker = placed.weaker(x)
+        if np.array_equal(weaker, x):
+            return
+        x = weaker
 
 
 def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: int) -> np.ndarray:

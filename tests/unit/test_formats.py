@@ -188,6 +188,7 @@ def test_tsv_refusals_name_the_place(tmp_path, rows, options, place, message):
     [
         ("a.tsv", b"", "empty file"),
         ("a.tsv", b"\x00\x01binary", "binary"),
+        ("a.tsv", "NO_OF_FRAMES\t3\n".encode("utf-16"), "utf_16"),
         ("a.tsv", b"hello\tworld\n", "MARKER_NAMES"),
         ("a.tsv", HEAD.replace("3D", "6D").format(n=1, rate=1).encode(), "6D"),
         ("a.tsv", HEAD.replace("New 0001", "IF_L").format(n=1, rate=1).encode(), "twice: IF_L"),

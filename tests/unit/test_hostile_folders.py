@@ -373,7 +373,7 @@ CONTENTS = (
         LOG,
         "byte",
     ),
-    Row("UTF-16", changed(TSV, lambda d: d.decode().encode("utf-16")), "unknown_format", TSV),
+    Row("UTF-16", changed(TSV, lambda d: d.decode().encode("utf-16")), "utf_16", TSV),
     Row("a byte-order mark", changed(TSV, lambda d: b"\xef\xbb\xbf" + d), WORKS),
     Row("line feeds", changed(TSV, lambda d: d.replace(b"\r\n", b"\n")), WORKS),
     Row("carriage returns", changed(TSV, lambda d: d.replace(b"\r\n", b"\r")), WORKS),

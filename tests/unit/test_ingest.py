@@ -381,6 +381,19 @@ def test_a_log_of_hardly_anything_is_refused(copy, kept_s):
     assert "log_too_short" in text
 
 
+def test_a_log_of_a_message_in_a_quarter_of_a_second_is_refused_by_its_rate(copy):
+    folder, run = copy
+    path = folder / "dynamic_1.mcap"
+    log = read_log(path)
+    rare = slice(None, None, round(0.25 / float(np.median(np.diff(log.joint_time_s)))))
+    joints = {name: values[rare] for name, values in log.joints.items()}
+    write_log(path, replace(log, joint_time_s=log.joint_time_s[rare], joints=joints))
+    text = refusal(run)
+    assert "topic /joint_states" in text
+    assert "a message every 0.25 s" in text
+    assert "log_rate" in text
+
+
 def test_a_marker_that_is_labelled_and_never_seen_is_taken_as_not_there(copy):
     folder, run = copy
 

@@ -166,6 +166,72 @@ def test_other_publishers_of_joint_states_have_no_say(tmp_path, log):
     assert [code for code, _, _ in codes(read)] == ["joint_subset"]
 
 
+def write_split_log(path, log, *, late, lost=None):
+    """Write a log with each of the arm's joints in a message of its own, ``late`` [s] after the base."""
+    from mcap.writer import Writer
+
+    messages = [
+        (int(at), "/odom", payload)
+        for at, payload in zip(*robot_log._messages(replace(log, sync_s=None))["/odom"], strict=True)
+    ]
+    kind = robot_log.TOPICS["/joint_states"]
+    for name, delay in late.items():
+        t = log.joint_time_s + delay
+        keep = np.ones(len(t), bool) if lost is None or name != lost[0] else ~((t > lost[1]) & (t < lost[2]))
+        wave = np.column_stack([np.sin(2 * t + delay), 2 * np.cos(2 * t + delay)])[keep]
+        stamps = log.start_ns + np.rint(t[keep] * 1e9).astype(np.int64)
+        values = {"position": wave[:, :1], "velocity": wave[:, 1:]}
+        payloads = robot_log._payloads(kind, stamps, {"frame_id": [""], "name": [name]}, values)
+        messages += [
+            (int(at), "/joint_states", payload) for at, payload in zip(stamps, payloads, strict=True)
+        ]
+    with path.open("wb") as stream:
+        writer, channels = Writer(stream), {}
+        writer.start(profile="ros2", library="test")
+        for at, topic, payload in sorted(messages):
+            if topic not in channels:
+                kind = robot_log.TOPICS[topic]
+                schema = writer.register_schema(kind, "ros2msg", robot_log._schema_text(kind).encode())
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], at, payload, at)
+        writer.finish()
+
+
+def test_joints_that_each_controller_publishes_alone_are_joined(tmp_path, log):
+    late = {"arm_lift": 0.0, "arm_roll": 0.003, "arm_pitch": 0.006}
+    write_split_log(tmp_path / "a.mcap", log, late=late)
+    read = detect.read_log(tmp_path / "a.mcap")
+    assert ("joint_split", "info", "/joint_states") in codes(read)
+    t = read.joint_time_s
+    assert len(t) >= len(log.joint_time_s) - 2
+    for name, delay in late.items():
+        np.testing.assert_allclose(read.joints[name][:, 0], np.sin(2 * t + delay), atol=1e-6)
+        np.testing.assert_allclose(read.joints[name][:, 1], 2 * np.cos(2 * t + delay), atol=1e-5)
+
+
+def test_a_joint_that_falls_silent_is_not_made_up(tmp_path, log):
+    late = {"arm_lift": 0.0, "arm_roll": 0.003, "arm_pitch": 0.006}
+    write_split_log(tmp_path / "a.mcap", log, late=late, lost=("arm_roll", 2.0, 3.0))
+    t = detect.read_log(tmp_path / "a.mcap").joint_time_s
+    assert not ((t > 2.01) & (t < 2.99)).any()
+    assert ((t > 1.9) & (t < 2.0)).any()
+    assert ((t > 3.0) & (t < 3.1)).any()
+
+
+def test_forces_that_are_no_numbers_are_left_out(tmp_path, log):
+    forces = np.tile(np.arange(600.0)[:, None], (1, 6))
+    forces[:50] = np.nan
+    given = replace(log, wrench_time_s=log.base_time_s, wrench=forces)
+    write_log(tmp_path / "a.mcap", given)
+    read = detect.read_log(tmp_path / "a.mcap")
+    assert codes(read) == [("wrench_not_finite", "warning", "/interface/wrench")]
+    assert "50 of 600" in read.findings[0].message
+    np.testing.assert_array_equal(read.wrench, forces[50:])
+    np.testing.assert_allclose(read.wrench_time_s, log.base_time_s[50:], atol=1e-9)
+    write_log(tmp_path / "b.mcap", replace(given, wrench=np.full_like(forces, np.nan)))
+    assert detect.read_log(tmp_path / "b.mcap").wrench is None
+
+
 @pytest.mark.parametrize("names", [("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos")])
 def test_stamps_of_json_logs(tmp_path, monkeypatch, log, names):
     plain = seeds.json_messages

@@ -481,10 +481,10 @@ def _robot(
     if log is None:
         log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
     trial.findings.extend(log.findings)
-    _check_log(trial.log, log, trial.settings["robot_log"]["least_s"])
+    gap = trial.settings["max_gap_s"]
+    _check_log(trial.log, log, trial.settings["robot_log"]["least_s"], gap)
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
-    gap = trial.settings["max_gap_s"]
     base_time, base = _unique(trial, log.base_time_s, np.column_stack(list(log.base.values())), "/odom")
     joints = np.column_stack([log.joints[j] for j in ARM_JOINTS])[:, [0, 2, 4, 1, 3, 5]]
     joint_time, joints = _unique(trial, log.joint_time_s, joints, "/joint_states")
@@ -506,11 +506,20 @@ def _robot(
     return columns, up, report
 
 
-def _check_log(path: Path, log: RobotLog, least_s: float) -> None:
-    """Refuse a log whose base and arm are not both there for a while at the same time."""
+def _check_log(path: Path, log: RobotLog, least_s: float, max_gap_s: float) -> None:
+    """Refuse a log whose base and arm are not both there for a while at the same time, or come too rarely."""
     base, arm = log.base_time_s, log.joint_time_s
     together = min(base[-1], arm[-1]) - max(base[0], arm[0]) if len(base) and len(arm) else 0.0
     if together >= least_s:
+        for topic, time_s in (("/odom", base), ("/joint_states", arm)):
+            period = float(np.median(np.diff(time_s)))
+            if period > max_gap_s:
+                found = f"a message every {period:.3g} s"
+                expected = f"one in {max_gap_s:g} s at least (ingest.max_gap_s)"
+                remedy = (
+                    "record the topic at a higher rate, or take the file away: a trial may be without one"
+                )
+                raise InputError(path, f"topic {topic}", found, expected, remedy, "log_rate")
         return
     found = f"{len(base)} messages of /odom and {len(arm)} of /joint_states, together for {max(together, 0.0):.2f} s"
     expected = f"both for at least {least_s:g} s (ingest.robot_log.least_s)"

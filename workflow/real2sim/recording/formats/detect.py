@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from real2sim.errors import InputError
 from real2sim.recording.formats import c3d, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
+from real2sim.recording.formats.text import refuse_utf_16
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestRobotLogStampsSettings
@@ -52,6 +53,7 @@ def detect(path: Path, expected: str = "", remedy: str = "") -> str:
         raise InputError(path, "", "an empty file", expected, remedy, "empty")
     kind = _by_content(head)
     if kind is None:
+        refuse_utf_16(path, head, expected)
         found = (
             "binary data of an unknown kind" if b"\0" in head else f"a file that starts with {head[:40]!r}"
         )

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from real2sim import signals
 from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.recording.formats.mcap_file import (
@@ -313,6 +314,7 @@ _BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times 
 _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
 _MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
+_MISSED = 3  # periods of a joint's messages without one, beyond which it is not known between them
 
 
 def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
@@ -343,7 +345,8 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
     joint_time, joints = _joints(path, start_ns, topics.pop("/joint_states"), findings)
     wrench_time = wrench = sync = None
     if "/interface/wrench" in topics:
-        wrench_time, wrench = topics["/interface/wrench"].table(start_ns)
+        forces = topics["/interface/wrench"].table(start_ns)
+        wrench_time, wrench = _known_forces(path, forces[0], forces[1], findings)
     if "/sync" in topics:
         state = topics["/sync"].table(start_ns)
         sync = _edges(path, state[0], state[1], findings)
@@ -351,10 +354,9 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
         findings.append(
             Finding("no_sync", "info", path.name, "/sync", "not in the log", "synchronised by motion")
         )
-    for name, values in (("/odom", table), ("/interface/wrench", wrench)):
-        if values is not None and not np.isfinite(values).all():
-            found = "values that are not finite"
-            raise InputError(path, f"topic {name}", found, "numbers", _RECORD, "not_finite")
+    if not np.isfinite(table).all():
+        found = "values that are not finite"
+        raise InputError(path, "topic /odom", found, "numbers", _RECORD, "not_finite")
     return RobotLog(
         start_ns, base_time, base, joint_time, joints, wrench_time, wrench, sync, findings, delays
     )
@@ -414,12 +416,13 @@ class _Topic:
         self.waiting, self.logged_waiting, self.bytes_waiting = [], [], 0
 
     def stamped(self) -> StampedTopic:
-        """Return the times of all messages; of joint states, those with the arm's joints are counted."""
+        """Return the times of all messages; of joint states, those that the arm's joints are taken from are counted."""
         counted = np.ones(self.count, bool)
         if self.channel.topic == "/joint_states":
             counted[:] = False
-            for group in self.groups:
-                counted[group.index] = set(ARM_JOINTS) <= set(group.names)
+            whole = _with_arm(self.groups)
+            for group in whole or self.groups:
+                counted[group.index] = bool(whole) or bool(set(ARM_JOINTS) & set(group.names))
         logged, stamps = np.concatenate(self.logged), np.concatenate(self.stamps)
         self.logged, self.stamps = [logged], []
         return StampedTopic(self.channel.topic, logged, stamps, counted)
@@ -750,24 +753,40 @@ def _needed(path: Path, topic: str, group: Group) -> dict[str, np.ndarray]:
     return {"position": values["position"].copy(), "velocity": values["velocity"].copy()}
 
 
+def _with_arm(groups: list[Group]) -> list[Group]:
+    """Groups of messages that hold all joints of the arm."""
+    return [g for g in groups if set(ARM_JOINTS) <= set(g.names)]
+
+
+def _known_forces(
+    path: Path, time_s: np.ndarray, wrench: np.ndarray, findings: list[Finding]
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Times (n,) and forces (n, 6) without messages that hold no number, as a sensor sends while it starts.
+
+    None where none does.
+    """
+    known = np.isfinite(wrench).all(axis=1)
+    if not known.all():
+        message = f"{int((~known).sum())} of {len(known)} messages with values that are not finite"
+        findings.append(
+            Finding("wrench_not_finite", "warning", path.name, "/interface/wrench", message, "left out")
+        )
+    return (time_s[known], wrench[known]) if known.any() else (None, None)
+
+
 def _joints(
     path: Path, start_ns: int, topic: _Topic, findings: list[Finding]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Position and velocity of each joint that every message with the arm's joints carries."""
     groups = topic.groups
-    with_arm = [g for g in groups if set(ARM_JOINTS) <= set(g.names)]
+    with_arm = _with_arm(groups)
     if not with_arm:
-        found = f"joints {', '.join(sorted({n for g in groups for n in g.names})[:20]) or 'none'}"
-        expected, remedy = ", ".join(ARM_JOINTS), "name the arm's joints so in the URDF"
-        raise InputError(path, "topic /joint_states", found, expected, remedy, "joint_missing")
+        return _split_joints(path, start_ns, topic, findings)
     if len(with_arm) < len(groups):
         left = sum(len(g.index) for g in groups) - sum(len(g.index) for g in with_arm)
         message = f"{left} messages without the arm's joints"
         findings.append(Finding("joint_subset", "info", path.name, "/joint_states", message, "left out"))
-    for group in with_arm:
-        if len(set(group.names)) < len(group.names):
-            found, remedy = "a joint twice in one message", "name the joints apart"
-            raise InputError(path, "topic /joint_states", found, "each joint once", remedy, "names")
+    _check_names(path, with_arm)
     names = [n for n in with_arm[0].names if all(n in g.names for g in with_arm)]
     index = np.concatenate([g.index for g in with_arm])
     time_s = topic.times(start_ns)
@@ -783,10 +802,61 @@ def _joints(
     groups.clear()
     time_s, *values = _in_order(time_s, *values)
     joints = dict(zip(names, values, strict=True))
+    _check_positions(path, joints)
+    return time_s, joints
+
+
+def _split_joints(
+    path: Path, start_ns: int, topic: _Topic, findings: list[Finding]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Position and velocity of the arm's joints that come in different messages, at the times of the rarest joint.
+
+    As where each controller publishes its own joint. A time at which another joint has no message near by is left out.
+    """
+    groups = topic.groups
+    if not set(ARM_JOINTS) <= {name for g in groups for name in g.names}:
+        found = f"joints {', '.join(sorted({n for g in groups for n in g.names})[:20]) or 'none'}"
+        expected, remedy = ", ".join(ARM_JOINTS), "name the arm's joints so in the URDF"
+        raise InputError(path, "topic /joint_states", found, expected, remedy, "joint_missing")
+    _check_names(path, groups)
+    times, series = topic.times(start_ns), {}
+    for name in ARM_JOINTS:
+        own = [g for g in groups if name in g.names]
+        index = np.concatenate([g.index for g in own])
+        values = np.concatenate([_joint(path, name, g) for g in own])
+        time_s, first = np.unique(times[index], return_index=True)
+        series[name] = time_s, values[first]
+    _check_positions(path, {name: values for name, (_, values) in series.items()})
+    rarest = min(series, key=lambda name: len(series[name][0]))
+    at = series[rarest][0]
+    joints = {name: _interpolated(*given, at) for name, given in series.items()}
+    known = np.all([np.isfinite(values[:, 0]) for values in joints.values()], axis=0)
+    message, action = "the arm's joints come in different messages", f"joined at the times of {rarest}"
+    findings.append(Finding("joint_split", "info", path.name, "/joint_states", message, action))
+    groups.clear()
+    return at[known], {name: values[known] for name, values in joints.items()}
+
+
+def _interpolated(time_s: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Position and velocity (n, 2) of a joint at other times (m,) [s]; NaN where messages of it are missing."""
+    longest = _MISSED * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    # a joint without velocities has positions all the same
+    columns = [signals.resample(time_s, values[:, k], at, longest) for k in (0, 1)]
+    return np.column_stack(columns)
+
+
+def _check_names(path: Path, groups: list[Group]) -> None:
+    """Refuse a message that holds a joint twice."""
+    if any(len(set(g.names)) < len(g.names) for g in groups):
+        found, remedy = "a joint twice in one message", "name the joints apart"
+        raise InputError(path, "topic /joint_states", found, "each joint once", remedy, "names")
+
+
+def _check_positions(path: Path, joints: dict[str, np.ndarray]) -> None:
+    """Refuse positions (n, 2) of the arm's joints that are no numbers."""
     if not all(np.isfinite(joints[name][:, 0]).all() for name in ARM_JOINTS):
         found = "positions that are not finite"
         raise InputError(path, "topic /joint_states", found, "numbers", _RECORD, "not_finite")
-    return time_s, joints
 
 
 def _joint(path: Path, name: str, group: Group) -> np.ndarray:

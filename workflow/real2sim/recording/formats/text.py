@@ -84,9 +84,10 @@ def repeated(names: Iterable[str]) -> list[str]:
 def read_lines(path: Path, expected: str, remedy: str) -> Lines:
     """Lines of a text file, whatever its line ends; UTF-8 with or without mark, else Windows-1252.
 
-    Raises InputError where the file cannot be opened, is empty or is binary.
+    Raises InputError where the file cannot be opened, is empty, is binary or is text in UTF-16.
     """
     raw = read_bytes(path, expected, remedy)
+    refuse_utf_16(path, raw, expected)
     if b"\0" in raw:
         raise InputError(path, "", "binary data", f"{expected} (text)", remedy, "binary")
     if b"\r" in raw:  # on bytes, which is five times as fast
@@ -113,6 +114,13 @@ def divide_by_tabs(path: Path, lines: Lines, first: str, findings: list[Finding]
         Finding("commas", "info", path.name, f"line {at + 1}", message, "read as if they were tabs")
     )
     return Lines(lines.raw.replace(b",", b"\t"))
+
+
+def refuse_utf_16(path: Path, head: bytes, expected: str) -> None:
+    """Refuse a file that begins with the mark of UTF-16, which spreadsheets write where Unicode text is asked for."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        remedy = "export it again, or save the text as UTF-8"
+        raise InputError(path, "", "text in UTF-16", f"{expected}, as text in UTF-8", remedy, "utf_16")
 
 
 def read_bytes(path: Path, expected: str, remedy: str) -> bytes:

@@ -252,6 +252,14 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     assert page.text.count("An earlier one") == 1
 
 
+def _stages(text):
+    """People of each stage on the front, by its name."""
+    items = re.findall(
+        r"<li(?: class=\"here\")?><span>(.*?)</span>.*?(?:<strong>|\"small\">)([^<]*)</[a-z]*></li>", text
+    )
+    return dict(items)
+
+
 def test_the_front_answers_the_question_of_the_study():
     first, second = _diagnosis(), _diagnosis()
     second |= {"subject": "S02", "next_trial": "sway in pitch"}
@@ -265,8 +273,15 @@ def test_the_front_answers_the_question_of_the_study():
     later = {"date": "2026-11-27", "suite": "c", "claims": [{"claim": "other", "value": 1.0, "n": 3}]}
     text = front([first, second], [before, old, fresh, later])
     assert "slack: everyone (92 %)." in text
-    assert "interface law (the strap): everyone." in text
-    assert "92 % [79 %, 97 %] of 38 answers surer than 90 % were right" in text
+    assert _stages(text) == {
+        "input chain": "nobody",
+        "interface law": "everyone",
+        "robot side": "nobody",
+        "output chain": "nobody",
+    }
+    elsewhere = second | {"where": second["where"] | {"stage": "robot"}}
+    assert _stages(front([first, elsewhere], []))["robot side"] == "S02"
+    assert "answers surer than 90 %: 92 % [79 %, 97 %] of 38 right" in text
     assert "given one" not in text
     assert "S02: sway in pitch." in text
     assert front([], []) == ""

@@ -35,13 +35,13 @@ def front(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) 
     told = {
         "The question": "Why do simulation and measurement of these people differ, and how much of the difference goes "
         "once its cause is in the simulation?",
-        "Which cause": _which(diagnoses),
+        "Which cause": escape(_which(diagnoses)),
         "Where": _where(diagnoses),
-        "How far it closes": _how_far(diagnoses),
+        "How far it closes": escape(_how_far(diagnoses)),
         "Can it be trusted?": _trust(diagnoses, records),
-        "What to record next": _next(diagnoses),
+        "What to record next": escape(_next(diagnoses)),
     }
-    rows = "\n".join(f"<dt>{escape(k)}</dt><dd>{escape(text)}</dd>" for k, text in told.items() if text)
+    rows = "\n".join(f"<dt>{escape(k)}</dt><dd>{markup}</dd>" for k, markup in told.items() if markup)
     return f'<dl class="front">\n{rows}\n</dl>'
 
 
@@ -75,11 +75,25 @@ def _between(shares: Sequence[float]) -> str:
 
 
 def _where(diagnoses: Sequence[Diagnosis]) -> str:
+    """The stages of the simulation with the people whose gap lies in each, as markup."""
     shown = [d for d in diagnoses if shows_gap(d)]
     if not shown:
         return "Nowhere that these recordings show."
-    places = [(STAGES.get(d["where"]["stage"], str(d["where"]["stage"])), str(d["subject"])) for d in shown]
-    return "; ".join(f"{what}: {_people(names, len(diagnoses))}" for what, names in _grouped(places)) + "."
+    people = dict(_grouped([(str(d["where"]["stage"]), str(d["subject"])) for d in shown]))
+    unusual = {stage: stage for stage in people if stage not in STAGES}
+    items = "".join(
+        _stage(words, people.get(stage, []), len(diagnoses)) for stage, words in (STAGES | unusual).items()
+    )
+    return f'<ul class="stages">{items}</ul>'
+
+
+def _stage(words: str, names: Sequence[str], of: int) -> str:
+    """A stage of the simulation with the people whose gap lies there, of so many."""
+    name, _, about = words.rstrip(")").partition(" (")
+    note = f' <span class="small">{escape(about)}</span>' if about else ""
+    who = f"<strong>{escape(_people(names, of))}</strong>" if names else '<span class="small">nobody</span>'
+    mark = ' class="here"' if names else ""
+    return f"<li{mark}><span>{escape(name)}</span>{note} {who}</li>"
 
 
 def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
@@ -101,32 +115,41 @@ def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
 
 
 def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) -> str:
+    """What speaks against an answer here, and how often such answers were right in scored suites, as markup."""
     marked = [str(d["subject"]) for d in diagnoses if d.get("misfit") and d["misfit"]["marked"]]
     parts = []
     if marked:
-        parts.append(
-            f"More than noise is left beside what is named for {_people(marked, len(diagnoses))} (misfit mark)."
-        )
+        text = f"More than noise is left beside what is named for {_people(marked, len(diagnoses))} (misfit mark)."
+        parts.append(escape(text))
     if records:
         claims = latest_claims(records)
-        for name, words in _CLAIMS.items():
-            if name in claims:
-                row = claims[name]
-                low, high = (percent(end) for end in row["wilson95"])
-                parts.append(words.format(share=f"{percent(row['value'])} [{low}, {high}]", n=row["n"]))
-        parts.append("In brackets: 95 % intervals. How often it is right about real people is not known.")
-    return " ".join(parts)
+        scored = [
+            words.format(share=_share(claims[name]), n=claims[name]["n"])
+            for name, words in _CLAIMS.items()
+            if name in claims
+        ]
+        parts.append(
+            "How often it is right about real people is not known. On synthetic people whose cause was withheld "
+            "(95 % intervals in brackets):"
+        )
+        parts.append("<ul>" + "".join(f"<li>{escape(text)}</li>" for text in scored) + "</ul>")
+    return "\n".join(parts)
+
+
+def _share(row: Mapping[str, Any]) -> str:
+    """Share of a claim with its interval."""
+    low, high = (percent(end) for end in row["wilson95"])
+    return f"{percent(row['value'])} [{low}, {high}]"
 
 
 # What a reader asks of a scored suite before they trust an answer
 _CLAIMS = {
-    "right where surer than 90 %": "On synthetic people whose cause was known but withheld, {share} of {n} answers "
-    "surer than 90 % were right.",
-    "false alarm on null": "Of {n} without a cause, {share} were given one.",
-    "left out: a wrong name surer than 90 %": "Where the cause was taken out of the catalogue, {share} of {n} answers "
-    "were a wrong name surer than 90 %.",
-    "random law: unknown, or an equal law": "Where the cause was a law that nobody listed, {share} of {n} answers said "
-    "unknown or gave a cause as good.",
+    "right where surer than 90 %": "answers surer than 90 %: {share} of {n} right",
+    "false alarm on null": "no cause there: {share} of {n} people given one",
+    "left out: a wrong name surer than 90 %": "the cause taken out of the catalogue: {share} of {n} answers a wrong "
+    "name surer than 90 %",
+    "random law: unknown, or an equal law": "a law that nobody listed: {share} of {n} answers unknown, or a cause as "
+    "good",
 }
 
 

@@ -67,6 +67,13 @@ p, li, figcaption { max-width: 46rem; margin: 0.4rem 0 }
 .front { display: grid; grid-template-columns: 11rem 1fr; gap: 0.5rem 1.2rem; margin: 1rem 0; max-width: 62rem }
 .front dt { font-weight: 600 }
 .front dd { margin: 0 }
+.stages { display: grid; grid-template-columns: repeat(auto-fit, minmax(8.5rem, 1fr)); gap: 0.4rem; margin: 0;
+  padding: 0; list-style: none; max-width: none }
+.front ul { margin: 0; padding-left: 1.1rem }
+.front .stages { padding: 0 }
+.stages li { display: grid; grid-template-rows: auto 1fr auto; margin: 0; padding: 0.35rem 0.6rem; max-width: none;
+  border: 1px solid var(--line); border-radius: 0.3rem }
+.stages .here { outline: 2px solid var(--blue); outline-offset: -1px; background: var(--tint) }
 .small, figcaption { font-size: 0.88rem; font-weight: 400; color: var(--muted) }
 .notice { border-left: 0.4rem solid var(--vermilion); background: var(--warn); padding: 0.6rem 1rem; max-width: none }
 .grid { display: grid; gap: 1rem 2.5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 25rem), 1fr));

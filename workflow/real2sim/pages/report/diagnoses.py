@@ -15,7 +15,7 @@ from real2sim.pages.diagnosis import (
     shows_gap,
 )
 from real2sim.pages.page import folded, likely, paragraph, percent, rounded, section, table
-from real2sim.pages.report.parts import DASH, MANY_PEOPLE, figure, joined, one_by_one
+from real2sim.pages.report.parts import DASH, MANY_PEOPLE, joined, one_by_one
 from real2sim.pages.report.study import Study
 from real2sim.pages.validation import withheld_check
 
@@ -33,7 +33,6 @@ def diagnoses_section(study: Study) -> str:
         "diagnosis",
         "Why simulation and measurement differ",
         paragraph(_answers(study)),
-        figure(study, "gap"),
         one_by_one(study, _answers_table(study)),
         withheld_check(study.validation),
         digests,

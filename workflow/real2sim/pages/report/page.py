@@ -13,6 +13,7 @@ from real2sim.pages.report.claims import claims_section, paper_gap_section
 from real2sim.pages.report.diagnoses import diagnoses_section
 from real2sim.pages.report.foot import provenance
 from real2sim.pages.report.identification import identification_section
+from real2sim.pages.report.parts import figure
 from real2sim.pages.report.priors import priors_section
 from real2sim.pages.report.recordings import cohort_section, gates_section, tightness_section
 from real2sim.pages.report.study import Identification, Sharing, Study, Table, Tightness, Walking
@@ -127,13 +128,19 @@ def _page(study: Study, title: str) -> str:
     phantom = any(fit["phantom"] for fit in study.identification.fits)
     body = [
         *notices(study),
-        front(study.diagnoses, study.validation),
+        _answer(study),
         lead(study),
         f'<nav aria-label="Contents"><ul class="contents">{contents}</ul></nav>',
         *shown,
         provenance(study),
     ]
     return document(title, body, phantom=phantom, script=_SCRIPT)
+
+
+def _answer(study: Study) -> str:
+    """The answer for this cohort, in words beside the picture of everyone's gap; empty where nobody was diagnosed."""
+    words = front(study.diagnoses, study.validation)
+    return f'<div class="grid wide">\n{words}\n{figure(study, "gap")}\n</div>' if words else ""
 
 
 def _heading(part: str) -> str:

@@ -20,10 +20,11 @@ DASH = "\N{EN DASH}"
 FIGURES = {
     "gap": (
         "The gap of everyone",
-        "Chi-squared per residual (no unit, logarithmic) of the held-out trial, or of the fitted one where that alone "
-        "shows the gap (marked *): circle, the plain model of strap and robot; diamond, the same with the diagnosed "
-        "cause or, where that is unknown, the measured law in it, open where a cause carries the misfit mark: more "
-        "than noise is left beside it; dashed, what noise alone leaves, 1. At the dashed line there is no gap to "
+        "The further right a circle, the larger the gap; the nearer its diamond to the dashed line, the more of it is "
+        "explained. Chi-squared per residual (no unit, logarithmic) of the held-out trial, or of the fitted one where "
+        "that alone shows the gap (marked *): circle, the plain model of strap and robot; diamond, the same with the "
+        "diagnosed cause or, where that is unknown, the measured law in it, open where a cause carries the misfit mark:"
+        " more than noise is left beside it; dashed, what noise alone leaves, 1. At the dashed line there is no gap to "
         "explain, and the answer is none. In brackets: the probability of the answer.",
     ),
     "paper_gap": (

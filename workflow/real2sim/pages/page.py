@@ -135,7 +135,10 @@ footer h2 { border: 0; margin-top: 0; padding-top: 0 }
   figure, tr, .notice { break-inside: avoid }
   h2, h3, caption { break-after: avoid }
   table { font-size: 0.72rem }
-  th, td { overflow-wrap: anywhere }
+  th, td { overflow-wrap: break-word }
+  th.number { white-space: normal }
+  .met, .missed, .warned { white-space: normal }
+  footer th, footer td { overflow-wrap: anywhere }
   td.sentence { min-width: 0 }
 }
 """.strip()

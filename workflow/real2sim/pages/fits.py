@@ -107,6 +107,7 @@ def _icc_panel(axes: Axes, rows: list[dict[str, str]]) -> None:
     for low, high, name in zip(edges, edges[1:], ("common", "uncertain", "distinct"), strict=False):
         axes.axvspan(low, high, color=style.CLASS_COLOURS[name], alpha=0.13, linewidth=0)
         axes.axvline(low, color=style.GREY, linewidth=0.5)
+        axes.text((low + high) / 2, -0.42, name[0], ha="center", va="center", fontsize=6.5)
     for place, row in enumerate(rows):
         if not row["icc"]:
             axes.text(0.02, place, row["status"], va="center", fontsize=7)
@@ -140,6 +141,9 @@ def _distribution_panel(axes: Axes, rows: list[dict[str, str]], classes: dict[st
             alpha=0.13,
             linewidth=0,
         )
+        # the class is read without its colour too
+        beside, initial = axes.get_yaxis_transform(), classes.get(name, "")[:1]
+        axes.text(1.02, place, initial, transform=beside, va="center", fontsize=6.5)
         for index, subject in enumerate(subjects):
             own = ratio[[row["subject"] == subject for row in rows]]
             y = np.full(len(own), place + (index - (len(subjects) - 1) / 2) * 0.8 / max(len(subjects), 2))
@@ -194,7 +198,9 @@ def _icc_legend(figure: Figure, right: Axes, rows: list[dict[str, str]]) -> None
             Line2D([], [], color=style.BLACK, marker="o", label=f"bootstrap {confidence}"),
             Line2D([], [], color=style.BLUE, marker="s", label=f"exact F {confidence}"),
         ]
-        classes: list[Artist] = [Patch(color=c, alpha=0.3, label=n) for n, c in style.CLASS_COLOURS.items()]
+        classes: list[Artist] = [
+            Patch(color=c, alpha=0.3, label=f"{n[0]}: {n}") for n, c in style.CLASS_COLOURS.items()
+        ]
         groups = [methods, classes, *groups]
     height = max(3, -(-len(people) // 3))
     handles: list[Artist] = []

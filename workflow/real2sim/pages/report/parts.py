@@ -50,7 +50,7 @@ FIGURES = {
         "Shareability",
         "(a) ICC(1,1) (no unit) of each parameter with the cluster bootstrap's percentile interval and the exact F "
         "interval; zones are the class limits. (b) Every fit over the geometric mean of all (no unit, logarithmic), "
-        "shaded by class. Paper: Fig. 4, middle.",
+        "shaded by class, whose first letter stands at the right. Paper: Fig. 4, middle.",
     ),
     "coverage": (
         "What the intervals are worth",

@@ -100,6 +100,15 @@ def test_a_system_offers_what_effects_may_need():
         ({"scope": "nowhere"}, "scope 'nowhere'"),
         ({"equation": ""}, "equation"),
         ({"plant": NEUTRAL}, "does nothing"),
+        ({"plant": StandingForce}, "an instance of a subclass of Mechanism"),
+        (
+            {"parameters": EffectParameter("cubic", "1", 0.0, 1.0, (0.5,))},
+            "one parameter takes a comma after it",
+        ),
+        ({"parameters": (EffectParameter("cubic", "1", 0.0, 1.0, 0.5),)}, "starts of cubic is 0.5"),
+        ({"parameters": ("cubic",)}, "expected an EffectParameter"),
+        ({"needs": "force"}, "needs is 'force', expected a set of texts"),
+        ({"at_rest": 0.0}, "at_rest is 0.0, expected an AtRest"),
     ],
 )
 def test_an_entry_that_is_not_whole_is_refused(changed, told):

@@ -36,7 +36,8 @@ from real2sim.effects.system_replay import supports
 from real2sim.errors import InputError
 from real2sim.recording.channels import channel_findings, drive_scales, units_in_doubt
 from real2sim.recording.formats.recordings import Finding
-from real2sim.recording.table import Recording
+from real2sim.recording.table import Recording, check_columns
+from real2sim.system.described_plant import own_actuators
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ class Fit:
     """Parameters of a system that fit one recording.
 
     ``known`` maps each parameter's name to its value, interval, bias and verdict; ``chi2`` is what the fit leaves and
-    ``samples`` what noise alone would leave.
+    ``samples`` what noise alone would leave. ``findings`` lists what was odd in recording and model
+    (docs/quality-codes.md).
     """
 
     system: System
@@ -60,6 +62,7 @@ class Fit:
     chi2: float
     samples: int
     traces: Mapping[str, np.ndarray]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def verdicts(self) -> dict[str, str]:
@@ -96,6 +99,7 @@ class Fit:
                 "parameters": rows,
                 "chi2": self.chi2,
                 "chi2_expected": self.samples,
+                "findings": [asdict(f) for f in self.findings],
             },
         )
 
@@ -110,9 +114,9 @@ class Fit:
 class Diagnosis:
     """Answer: where the gap of a system's simulation lies, which effect causes it, how far it shrinks.
 
-    The attributes of the answer (``verdict``, ``probabilities``, ``causes``, ``where``, ``gap``, ``parameters``,
-    ``next_trial`` ...) are those of diagnosis.json. ``findings`` lists what was odd in the recordings
-    (docs/quality-codes.md).
+    ``answer`` holds what stands in diagnosis.json: ``answer.causes``, ``answer.gap``, ``answer.parameters``,
+    ``answer.next_trial`` and so on; the commonest are attributes here too. ``findings`` lists what was odd in
+    recordings and model (docs/quality-codes.md).
     """
 
     system: System
@@ -225,6 +229,7 @@ def identify(
     """
     options = _settings(settings)
     search = options["diagnosis"]["search"]
+    odd = [*recording.findings, *_odd_channels(system, {recording.name: recording}, options)]
     evidence: Evidence = _evidence(system, recording, quiet, options, threads)
     lower, upper = system.bounds()
     z = plain_fit(evidence, system, (lower + upper) / 2, search)
@@ -235,15 +240,17 @@ def identify(
     fitted = Search(pair, search).fit((), z, final=True)
     check_simulated(pair, fitted)
     known = parameter_verdicts(pair, fitted, evidence.samples, options)
-    values = system.values(fitted.base)
+    values = dict(zip(system.parameter_names, map(float, system.values(fitted.base)), strict=True))
+    near = options["diagnosis"]["described"]["channels"]["bound_share"]
     return Fit(
         system,
         recording.name,
-        dict(zip(system.parameter_names, map(float, values), strict=True)),
+        values,
         dict(zip(system.parameter_names, known, strict=True)),
         fitted.chi2[0],
         evidence.samples,
         _traces(evidence, pair, fitted),
+        (*odd, *units_in_doubt(system, values, recording.name, near)),
     )
 
 
@@ -341,7 +348,14 @@ def _tell_findings(findings: Sequence[Finding], tell: Callable[[str], None]) -> 
 def _odd_channels(
     system: System, recordings: Mapping[str, Recording], options: Settings
 ) -> Iterator[Finding]:
-    """Yield what is odd about the columns of recordings, alone and beside each other."""
+    """Yield what is odd about the model, and about the columns of recordings, alone and beside each other."""
+    for recording in recordings.values():
+        check_columns(system, recording)
+    if own := own_actuators(system):
+        message, action = "the model has actuators of its own", "Left out: the recording drives the joints."
+        yield Finding(
+            "model_actuators", "info", system.model.name, f"actuator {', '.join(own)}", message, action
+        )
     settings = options["diagnosis"]["described"]["channels"]
     driven = set(system.drive.columns.values())
     for name, r in recordings.items():

@@ -70,7 +70,10 @@ def _keys(schema: dict[str, Any]) -> Iterator[str]:
         yield from _keys(sub)
 
 
-def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: Path) -> InputError:
+def _explain(
+    error: jsonschema.ValidationError, schema: dict[str, Any], source: Path, page: str
+) -> InputError:
+    """Return what is wrong with a value; ``page`` of the documentation has the keys."""
     place = ".".join(str(part) for part in error.absolute_path) or "top level"
     # A schema may also be a bare true or false, and jsonschema's types say so; ours are all mappings.
     failed = cast("dict[str, Any]", error.schema)
@@ -78,7 +81,7 @@ def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: 
         known = failed["properties"]
         unknown = sorted(map(str, set(cast("dict[str, Any]", error.instance)) - set(known)))
         near = difflib.get_close_matches(unknown[0], list(known) or list(_keys(schema)), 1)
-        remedy = f"Did you mean '{near[0]}'?" if near else "Remove it, or see config/README.md for the keys."
+        remedy = f"Did you mean '{near[0]}'?" if near else f"Remove it, or see {page} for the keys."
         return InputError(
             source,
             place,
@@ -92,8 +95,18 @@ def _explain(error: jsonschema.ValidationError, schema: dict[str, Any], source: 
         return InputError(source, place, error.message, expected, "Add the key.", "key_missing")
     message = _shortened(error.message)
     expected = str(failed.get("description", "a value that the schema allows"))
-    remedy = "Correct the value; config/README.md has the keys."
+    remedy = f"Correct the value; {page} has the keys."
+    if isinstance(error.instance, str) and _is_number(error.instance):
+        remedy = f"YAML reads {error.instance} as text: write it with a point, as in 1.0e+1."
     return InputError(source, place, message, expected, remedy, "value")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _shortened(text: str) -> str:
@@ -188,7 +201,8 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     filled: dict[str, Any] = _with_defaults(schema, {} if content is None else content)
     errors = sorted(validator.iter_errors(filled), key=lambda e: len(e.absolute_path))
     if errors:
-        raise _explain(errors[0], schema, source)
+        pages = {"system": "docs/library.md", "suite": "docs/validation.md"}
+        raise _explain(errors[0], schema, source, pages.get(schema_name, "config/README.md"))
     _check_finite(filled, schema, source)
     _check_texts(filled, source)
     if schema_name == "config":

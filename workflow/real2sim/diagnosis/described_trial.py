@@ -20,12 +20,12 @@ from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose
 from real2sim.recording.levels import moving_sd, white_sd
-from real2sim.recording.table import Recording, log_columns
+from real2sim.recording.table import Recording, check_columns, log_columns
 from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of
 from real2sim.system.description import FORCE, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
-from real2sim.system.plant import RestPose
+from real2sim.system.plant import RestPose, compiled
 from real2sim.system.replay import servo_command
 
 if TYPE_CHECKING:
@@ -72,6 +72,10 @@ class DescribedTrial:
         self._quiet = quiet
         self._rate = recording.rate_hz
         self._cutoff = min(system.band_hz, 0.4 * self._rate)
+        for given in (recording, quiet):
+            if given is not None:
+                check_columns(system, given)
+        self._check_drive()
         self._levels = quiet if quiet is not None else recording
         self._logs = {j: _bridged(recording.columns[c]) for j, c in log_columns(system).items()}
         self._pose = system.drive.by == POSE
@@ -80,6 +84,36 @@ class DescribedTrial:
         self._segment = self._segment_of(recording) if self._pose else None
         self._plain, self._solver = self._model()
         self._position, self._rate_of = self._paths()
+
+    def _check_drive(self) -> None:
+        """Refuse a recording shorter than its start, and gaps in what drives it that no line fills within its band."""
+        recording, least = self._recording, self._start_window
+        if len(recording.time_s) < 2 * least:
+            raise InputError(
+                recording.name,
+                "",
+                f"{len(recording.time_s)} samples ({len(recording.time_s) / self._rate:.3g} s)",
+                f"{2 * least} samples and more, half of which tell where it starts",
+                "Record longer.",
+                "too_short",
+            )
+        most = self._rate / (2 * self._system.band_hz)
+        for column in self._system.drive.columns.values():
+            for gap in signals.segments(~np.isfinite(recording.columns[column])):
+                if gap.stop - gap.start > most:
+                    raise InputError(
+                        recording.name,
+                        f"column {column}, from {recording.time_s[gap.start]:.4g} s",
+                        f"no number for {(gap.stop - gap.start) / self._rate:.3g} s in what drives the simulation",
+                        f"gaps of no more than half a period of band_hz, {most / self._rate:.3g} s",
+                        "Cut the recording there, or record it again.",
+                        "drive_gap",
+                    )
+
+    @property
+    def _start_window(self) -> int:
+        """Samples at the beginning that tell where a recording starts that begins in motion."""
+        return max(12, round(self._settings["still_s"] * self._rate))
 
     # ---------------------------------------------------------------- segment and interface
 
@@ -203,7 +237,7 @@ class DescribedTrial:
         segment = self._segment
         frame = None if segment is None else RestPose(segment.rotation[0], segment.position[0])
         spec = plant_of(self._system, self._system.step_s, self._anchor, frame)
-        model = spec.compile()
+        model = compiled(spec, self._system.model)
         sites = tuple((self._system.markers.sites or {}).values()) if self._pose else ()
         return model, Solver(model, sites)
 
@@ -264,7 +298,7 @@ class DescribedTrial:
 
     def _start_weights(self) -> np.ndarray:
         """Weights (2, n) of the first samples that give position and rate at the start, by a cubic in time."""
-        n = max(12, round(self._settings["still_s"] * self._rate))
+        n = self._start_window
         basis = np.vander(np.arange(n) / self._rate, 4, increasing=True)
         return np.linalg.pinv(basis)[:2]
 
@@ -385,10 +419,15 @@ class DescribedTrial:
             return moving_sd(levels, self._rate, self._cutoff)
         return white_sd(levels)
 
-    def draw(self, seed: int, number: int, parts: int) -> np.ndarray:
-        """Return the command (nstep, c) of a drive that was measured with other noise."""
+    def draw(self, seed: int, number: int, parts: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the command (nstep, c) of a drive that was measured with other noise; of a path its acceleration too.
+
+        That is (n, c) at the samples: what inertia makes of the noise of a path is seen where a force is measured.
+        """
         setup = self.setup(parts)
-        return self._commands(setup.timestep, setup.stride, np.random.default_rng([seed, number]))[0]
+        rng = np.random.default_rng([seed, number])
+        command, _, acceleration = self._commands(setup.timestep, setup.stride, rng)
+        return command, acceleration
 
     # ---------------------------------------------------------------- evidence
 
@@ -396,9 +435,9 @@ class DescribedTrial:
         """Return the evidence of this trial, not whitened yet."""
         sd = self._drive_sd()
         base = self._recording.step_s / int(np.ceil(self._recording.step_s / self._system.step_s - 1e-9))
-        cache: dict[tuple[int, int, int], np.ndarray] = {}
+        cache: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray | None]] = {}
 
-        def draw(seed: int, number: int, parts: int) -> np.ndarray:
+        def draw(seed: int, number: int, parts: int) -> tuple[np.ndarray, np.ndarray | None]:
             key = seed, number, parts
             if key not in cache:
                 cache[key] = self.draw(seed, number, parts)

@@ -21,6 +21,7 @@ from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Context
 from real2sim.effects.system_replay import Setup, SystemReplay, substeps
+from real2sim.errors import InputError
 from real2sim.recording.skin import Skin
 from real2sim.signals import Scatter
 from real2sim.system.description import System
@@ -69,15 +70,15 @@ class Measured:
 
 
 MakeSetup = Callable[[int], Setup]
-Draw = Callable[[int, int, int], np.ndarray]
+Draw = Callable[[int, int, int], tuple[np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True)
 class Simulated:
     """Simulation of a trial: ``setup`` by the number of parts of a time step, and ``draw`` of a shaken drive.
 
-    ``draw`` maps (seed, number, parts) to a command (nstep, c); ``shaken`` is whether the drive has noise at all;
-    ``threads`` may work at a time.
+    ``draw`` maps (seed, number, parts) to a command (nstep, c) and, of a path, its acceleration (n, c); ``shaken`` is
+    whether the drive has noise at all; ``threads`` may work at a time.
     """
 
     system: System
@@ -274,7 +275,18 @@ class SystemEvidence:
         whitening = Whitening.of_noise(
             self.bands, error, drawn, nuisance, self.measured.floor, self.measured.repeated, self._known
         )
-        return replace(self, whitening=whitening, cache={**self.cache, "nuisance": nuisance})
+        out = replace(self, whitening=whitening, cache={**self.cache, "nuisance": nuisance})
+        if not out.samples:
+            known = np.isfinite(np.hstack([self.measured.observed, self.measured.logged])).mean()
+            raise InputError(
+                self.name,
+                "",
+                f"{100 * known:.3g} % of what was measured is known: no residual is left that noise does not fill",
+                "outputs that are known for most of the recording",
+                "Record it again.",
+                "no_data",
+            )
+        return out
 
     def noise_through(
         self,
@@ -301,7 +313,7 @@ class SystemEvidence:
         if self.simulated.shaken:
             parts = substeps(effects, self.simulated.base_step_s)
             for i in range(draws):
-                replay.set_command(i + 1, self.simulated.draw(seed, i, parts))
+                replay.set_command(i + 1, *self.simulated.draw(seed, i, parts))
         return replay
 
     def _apart(

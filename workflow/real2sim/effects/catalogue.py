@@ -26,7 +26,8 @@ from real2sim.effects import (
     timing,
     tissue,
 )
-from real2sim.effects.base import NEUTRAL, Effect, EffectParameter, Placed
+from real2sim.effects.base import NEUTRAL, AtRest, Effect, EffectParameter, Mechanism, Placed
+from real2sim.effects.chains import Chains
 from real2sim.errors import InputError
 
 __all__ = [
@@ -82,6 +83,8 @@ OFFERS = frozenset(
 
 def faults(effect: Effect, taken: Iterable[str], names: Iterable[str]) -> list[str]:
     """Return what is wrong with an entry, beside entries with the labels ``taken`` and effects called ``names``."""
+    if kinds := _faults_of_kind(effect):
+        return kinds
     found = []
     if effect.label in taken:
         found.append("name and form are taken by another entry")
@@ -98,6 +101,31 @@ def faults(effect: Effect, taken: Iterable[str], names: Iterable[str]) -> list[s
     if effect.plant is NEUTRAL and effect.chains.empty:
         found.append("neither plant nor chains: it does nothing")
     return found + _faults_of_parameters(effect)
+
+
+def _faults_of_kind(effect: Effect) -> list[str]:
+    """Return which fields of an entry are of another kind than the class says: the slips of a file that still loads."""
+    wanted: dict[str, tuple[object, type | tuple[type, ...], str]] = {
+        "parameters": (effect.parameters, tuple, "a tuple: one parameter takes a comma after it"),
+        "needs": (effect.needs, (frozenset, set), "a set of texts"),
+        "confusable": (effect.confusable, (tuple, list, frozenset, set), "a tuple of texts"),
+        "at_rest": (effect.at_rest, AtRest, "an AtRest"),
+        "plant": (effect.plant, Mechanism, "an instance of a subclass of Mechanism, made with brackets"),
+        "chains": (effect.chains, Chains, "a Chains"),
+    }
+    found = [
+        f"{name} is {value!r}, expected {what}"
+        for name, (value, kind, what) in wanted.items()
+        if not isinstance(value, kind)
+    ]
+    if not isinstance(effect.parameters, tuple):
+        return found
+    for parameter in effect.parameters:
+        if not isinstance(parameter, EffectParameter):
+            found.append(f"parameters holds {parameter!r}, expected an EffectParameter")
+        elif not isinstance(parameter.starts, (tuple, list)):
+            found.append(f"starts of {parameter.name} is {parameter.starts!r}, expected a tuple")
+    return found
 
 
 def _faults_of_parameters(effect: Effect) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -15,16 +16,17 @@ from real2sim.effects.replay import by_axis
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.errors import InputError
 from real2sim.system.batches import untimed_batch
-from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, plant_of
+from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, load_model, plant_of
 from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.linear import ForceResponse, Linearised, PrescribedMotion, joints_of
+from real2sim.system.lone_joint import LoneJoint, lone_joint
 from real2sim.system.plant import RestPose, compiled
 from real2sim.system.replay import Simulated, servo_command
 
 # Time step for which an effect's substeps are meant [s]
 _REFERENCE_STEP_S = 0.01
-_FORCES = ("qfrc_passive", "qfrc_constraint", "actuator_force")
+_FORCES = ("qfrc_passive", "qfrc_constraint", "actuator_force", "qfrc_bias")
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,9 @@ class SystemReplay(FreeRuns):
         self._control = np.zeros((nsim, self.nstep, model.nu))
         self._drive = slice(0, setup.commands.shape[1])
         self._commands = np.tile(setup.commands, (nsim, 1, 1))
+        self._accelerations = (
+            None if setup.acceleration is None else np.tile(setup.acceleration, (nsim, 1, 1))
+        )
         self._joints = [model.joint(name) for name in system.axis_joints]
         self._start = self._start_state()
         self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
@@ -164,9 +169,13 @@ class SystemReplay(FreeRuns):
         """Joint positions (m, nq) at the start of each simulation."""
         return self._start[0] + self._shift[:m]
 
-    def set_command(self, simulation: int, command: np.ndarray) -> None:
-        """Let one simulation follow another command (nstep, c) from now on."""
+    def set_command(
+        self, simulation: int, command: np.ndarray, acceleration: np.ndarray | None = None
+    ) -> None:
+        """Let one simulation follow another command (nstep, c) from now on, along a path of ``acceleration`` (n, c)."""
         self._commands[simulation] = command
+        if self._accelerations is not None and acceleration is not None:
+            self._accelerations[simulation] = acceleration
         self._own_commands = True
 
     def shift_start(self, simulation: int, joint: str, by: float, *, rate: bool = False) -> None:
@@ -454,11 +463,14 @@ class SystemReplay(FreeRuns):
         return np.asarray(out)
 
     def _drive_force(self, fields: Fields, done: Mapping[str, np.ndarray], joint: str, m: int) -> np.ndarray:
-        """Force (m, nstep) that moves a driven joint along its path: inertia times acceleration, less other forces."""
+        """Force (m, nstep) that moves a driven joint along its path: inertia times acceleration, less other forces.
+
+        The joint is alone on its chain (`along_path`): weight and what its springs and dampers do are all other forces.
+        """
         model, setup = self.model, self._setup
         index = model.joint(joint)
-        dof, body = int(index.dofadr[0]), int(model.jnt_bodyid[index.id])
-        if setup.acceleration is None:
+        dof = int(index.dofadr[0])
+        if self._accelerations is None:
             raise InputError(
                 setup.system.model,
                 f"joint {joint}",
@@ -472,13 +484,21 @@ class SystemReplay(FreeRuns):
             if model.actuator_trnid[a, 0] == index.id and a >= setup.commands.shape[1]
         ]
         force = done["qfrc_passive"][:, :, dof] + done["qfrc_constraint"][:, :, dof]
-        force = force + done["actuator_force"][:, :, others].sum(axis=2)
+        force = force - done["qfrc_bias"][:, :, dof] + done["actuator_force"][:, :, others].sum(axis=2)
         column = list(setup.system.drive.columns).index(joint)
-        acceleration = np.repeat(setup.acceleration[:, column], setup.stride)[: self.nstep]
-        mass = fields["body_mass"][:m, body, None]
+        acceleration = np.repeat(self._accelerations[:m, :, column], setup.stride, axis=1)[:, : self.nstep]
+        inertia = self._along_path[joint].inertia(fields["body_mass"][:m], fields["body_inertia"][:m])
         # the rate of a step is that of half a step before
         late = fields["dof_damping"][:m, dof, None] * model.opt.timestep / 2 * acceleration
-        return np.asarray(mass * acceleration - force + late)
+        return np.asarray(inertia[:, None] * acceleration - force + late)
+
+    @cached_property
+    def _along_path(self) -> dict[str, LoneJoint]:
+        """Joints whose force is an output, by name."""
+        system = self._setup.system
+        rotors = {joint.name: float(joint.armature) for joint in load_model(system).joints}
+        forced = [o.joint for o in system.outputs if o.quantity == "force"]
+        return {name: lone_joint(self.model, name, rotors, system.model) for name in forced}
 
 
 def _sensor(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, obj: mujoco.mjtObj, target: str) -> None:

@@ -115,7 +115,7 @@ def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
 
 
 def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) -> str:
-    """What speaks against an answer here, and how often such answers were right in scored suites, as markup."""
+    """Doubt about the answers here, and how often such answers were right in scored suites, as markup."""
     marked = [str(d["subject"]) for d in diagnoses if d.get("misfit") and d["misfit"]["marked"]]
     parts = []
     if marked:

@@ -24,6 +24,8 @@ from real2sim.system.description import POSE, System
 TIME = "time_s"
 # Largest departure of an interval between samples from their mean, as a share of it
 UNEVEN = 0.01
+# Samples that a recording has at least
+_FEWEST = 10
 # Samples on the even clock, as a multiple of the messages of a joint
 _MOST_SAMPLES = 4
 # Columns of a table may take so many times the file's size, or so many bytes if that is more
@@ -172,6 +174,35 @@ def required_columns(system: System) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def check_columns(system: System, recording: Recording) -> None:
+    """Refuse a recording that lacks columns of a system, as one that was read for another, or that measures nothing.
+
+    Raises
+    ------
+    InputError
+        Naming the recording and the columns.
+    """
+    if not (system.outputs or system.markers.sites or log_columns(system)):
+        raise InputError(
+            system.name,
+            "outputs",
+            "nothing that is measured beside the drive",
+            "an output, markers of the interface, or a logged joint of the machine",
+            "Name in system.yaml what the recordings hold.",
+            "value",
+        )
+    missing = [column for column in required_columns(system) if column not in recording.columns]
+    if missing:
+        raise InputError(
+            recording.name,
+            f"column {', '.join(missing)}",
+            f"columns {', '.join(recording.columns)}",
+            f"the columns of system {system.name}: {', '.join(required_columns(system))}",
+            "Read it with this system: Recording.read(system, path).",
+            "column_missing",
+        )
+
+
 def log_columns(system: System) -> dict[str, str]:
     """Return the column of each logged joint of the machine, by joint: ``<joint>_m`` or ``<joint>_rad``."""
     units = system.joint_units
@@ -186,7 +217,7 @@ def _numbers(column: pd.Series, source: Path) -> np.ndarray:
             source,
             f"column {column.name}",
             str(error),
-            "numbers, empty where nothing was seen",
+            "numbers, empty where nothing was measured (but in what drives the system)",
             "Correct it.",
             "not_a_number",
         ) from error
@@ -204,16 +235,18 @@ def _numbers(column: pd.Series, source: Path) -> np.ndarray:
 
 def _check_time(time_s: np.ndarray, source: Path) -> None:
     steps = np.diff(time_s)
-    if len(time_s) < 10 or not np.isfinite(time_s).all():
-        raise InputError(
-            source,
-            TIME,
-            f"{len(time_s)} samples, not all finite",
-            "ten and more, all finite",
-            "Export it anew.",
-            "time_uneven",
-        )
-    if np.abs(steps - steps.mean()).max() > UNEVEN * steps.mean() or steps.mean() <= 0:
+    unknown = int((~np.isfinite(time_s)).sum())
+    if len(time_s) < _FEWEST or unknown:
+        found = f"{len(time_s)} samples" + (f", {unknown} of them without a time" if unknown else "")
+        code = "time_uneven" if unknown else "too_short"
+        expected = f"{_FEWEST} samples and more, each with a time"
+        raise InputError(source, TIME, found, expected, "Export it anew.", code)
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0)) + 1
+        found = f"{time_s[row]:.6g} s after {time_s[row - 1]:.6g} s"
+        remedy = "Sort the rows by time, and do not join recordings."
+        raise InputError(source, f"{TIME}, row {row + 1}", found, "times that increase", remedy, "time_order")
+    if np.abs(steps - steps.mean()).max() > UNEVEN * steps.mean():
         row = int(np.argmax(np.abs(steps - steps.mean()))) + 1
         raise InputError(
             source,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from real2sim.errors import InputError
-from real2sim.system.description import FORCE, PATH, POSE, System
+from real2sim.system.description import FORCE, MASS, PATH, POSE, System
 from real2sim.system.mjcf import read_model
 from real2sim.system.plant import PELVIS_INERTIA, PELVIS_MASS, RestPose, servo_gains
 
@@ -39,8 +39,9 @@ def load_model(system: System) -> mujoco.MjSpec:
     joints = [*system.machine_joints, *own, *system.drive.columns, *(o.joint for o in system.outputs)]
     missing = [f"joint {n}" for n in dict.fromkeys(joints) if spec.joint(n) is None]
     missing += [f"site {s}" for s in (system.markers.sites or {}).values() if spec.site(s) is None]
-    if system.body and spec.body(system.body) is None:
-        missing.append(f"body {system.body}")
+    bodies = [system.body] if system.body else []
+    bodies += [p.of for p in system.parameters if p.sets == MASS]
+    missing += [f"body {n}" for n in dict.fromkeys(bodies) if spec.body(n) is None]
     if missing:
         raise InputError(
             system.model,
@@ -50,7 +51,30 @@ def load_model(system: System) -> mujoco.MjSpec:
             "Correct either of them.",
             "model_names",
         )
+    _check_types(spec, system)
     return spec
+
+
+def _check_types(spec: mujoco.MjSpec, system: System) -> None:
+    """Refuse an axis whose type is not that of its joint: its units would be wrong."""
+    hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    for axis in system.axes:
+        if axis.direction is not None:
+            continue
+        kind = spec.joint(axis.joint).type
+        if kind != (hinge if axis.rotational else slide):
+            said = "hinge" if axis.rotational else "slide"
+            names = {hinge: "a hinge", slide: "a slide"}
+            raise InputError(
+                system.model,
+                f"joint {axis.joint}",
+                f"{names.get(kind, 'neither hinge nor slide')} where system.yaml says type: {said}",
+                "the type of the joint in interface.axes (slide where it says none)",
+                f"Write type: {'slide' if axis.rotational else 'hinge'} for the axis {axis.name}."
+                if kind in names
+                else "Model the interface by hinges and slides.",
+                "value",
+            )
 
 
 def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: RestPose | None) -> mujoco.MjSpec:
@@ -64,6 +88,7 @@ def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: Rest
         Reference frame of the drive in the world, for the same.
     """
     spec = load_model(system)
+    _without_drives(spec)
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -91,6 +116,20 @@ def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: Rest
                 name=f"offset_{axis.joint}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=axis.joint
             ).set_to_motor()
     return spec
+
+
+def own_actuators(system: System) -> list[str]:
+    """Return the actuators of a system's MJCF, by name or number: `plant_of` leaves them out."""
+    return [a.name or f"number {i + 1}" for i, a in enumerate(load_model(system).actuators)]
+
+
+def _without_drives(spec: mujoco.MjSpec) -> None:
+    """Take away the MJCF's own actuators, and the sensors and keyframes that may name them.
+
+    What drives a joint stands in the recording, and controllers stand in the description.
+    """
+    for element in [*spec.sensors, *spec.keys, *spec.actuators]:
+        spec.delete(element)
 
 
 def _hang_segment(spec: mujoco.MjSpec, system: System, anchor: Anchor) -> None:

@@ -217,6 +217,24 @@ class System:
                     "Correct the bounds.",
                     "value",
                 )
+            if any(other.sets == p.sets and other.of == p.of for other in self.parameters if other is not p):
+                raise InputError(
+                    source,
+                    f"parameters.{p.name}",
+                    f"a second parameter that sets the {p.sets} of {p.of}",
+                    "one parameter for each",
+                    "Remove one of them.",
+                    "value",
+                )
+        if self.rest == "quiet" and self.drive.by != POSE:
+            raise InputError(
+                source,
+                "interface.rest",
+                f"quiet, and a drive by {self.drive.by}",
+                "rest: model, where joints of the MJCF are read as they are",
+                "Take the rest position off the recordings' columns, or set the joint's springref in the MJCF.",
+                "value",
+            )
         if self.drive.by == POSE and self.segment is None:
             raise InputError(
                 source,

@@ -325,7 +325,7 @@ def compiled(spec: mujoco.MjSpec, robot: Path) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise InputError(robot, "", str(error), "an MJCF that compiles", "Mend the robot twin.") from error
+        raise InputError(robot, "", str(error), "an MJCF that compiles", "Correct the model.") from error
 
 
 def servo_gains(timestep: float) -> tuple[float, float]:

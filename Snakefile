@@ -50,6 +50,7 @@ rule all:
     """Everything: tables, figures and the page that holds them."""
     default_target: True
     input:
+        everyone_can_be_calibrated,
         "results/report.html",
         rules.paper_figures.output,
         rules.paper_tables.output,

@@ -101,3 +101,12 @@ def test_draws_are_the_prior_and_points_of_its_intervals_within_the_bounds():
     assert (draws[1:] <= BOUNDS.upper).all()
     assert np.array_equal(draws, parameter_draws(PUBLISHED, BOUNDS, 6, 1))
     assert not np.array_equal(draws[1:], parameter_draws(PUBLISHED, BOUNDS, 6, 2)[1:])
+
+
+@pytest.mark.parametrize("k_rz", [[20, 500], [5, 14]])
+def test_bounds_beside_the_published_interval_are_drawn_from(k_rz):
+    bounds = Bounds.from_config(CONFIG["identification"]["bounds"] | {"k_rz": k_rz})
+    draws = parameter_draws(PUBLISHED, bounds, 6, 1)
+    assert (draws >= bounds.lower).all()
+    assert (draws <= bounds.upper).all()
+    assert len(np.unique(draws[1:, 5])) == 5

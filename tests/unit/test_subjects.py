@@ -215,6 +215,8 @@ def test_tightness_values(tmp_path, tightness, message):
         ({"exclude": {"neutral": "sneezed"}}, "no trial neutral (excluded: sneezed)"),
         ({"id": "S02"}, "id S02 in a folder S01"),
         ({"id": 1}, "subject.yaml, id"),
+        ({"id": 12}, "Put it in quotes: YAML reads 12 as a number"),
+        ({"id": False}, "Put it in quotes: YAML reads False as a number or a truth value"),
         ({"mass_kg": float("nan")}, "subject.yaml, mass_kg\n  found:    nan"),
         ({"age_years": float("nan")}, "subject.yaml, age_years"),
         ({"age_years": True}, "subject.yaml, age_years"),

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 import yaml
 
 
@@ -210,12 +211,48 @@ def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
     assert "Traceback" not in done.stdout
 
 
-def test_a_robot_that_is_not_there_is_refused_before_any_job(project):
-    project.configure(paths={"robot": "resources/robot/none.xml"})
+@pytest.mark.parametrize(
+    ("changed", "place", "found"),
+    [
+        (
+            {"paths": {"robot": "resources/robot/none.xml"}},
+            "paths.robot",
+            "nothing at resources/robot/none.xml",
+        ),
+        (
+            {"paths": {"published": "resources/publsihed"}},
+            "paths.published",
+            "nothing at resources/publsihed",
+        ),
+        # a disk that is not mounted must not end in the phantom's study
+        ({"paths": {"subjects": "/mnt/lab/people"}}, "paths.subjects", "nothing at /mnt/lab/people"),
+        (
+            {"quality": {"override": {"S99/dynamic_1": "pilot"}}},
+            "quality.override.S99/dynamic_1",
+            "no such trial",
+        ),
+        (
+            {"quality": {"override": {"S01/dynamic_9": "pilot"}}},
+            "quality.override.S01/dynamic_9",
+            "no such trial",
+        ),
+        ({"identification": {"bounds": {"k_tx": [8000, 150]}}}, "identification.bounds.k_tx", "[8000, 150]"),
+        ({"plant": {"timestep_s": 0.003}}, "plant.timestep_s", "0.003 s"),
+        ({"statistics": {"common_below": 0.9}}, "statistics.common_below", "[0.9, 0.75]"),
+    ],
+)
+def test_what_contradicts_itself_or_leads_nowhere_is_refused_before_any_job(project, changed, place, found):
+    project.configure(**changed)
     done = project.snakemake("-n", "--cores", "1", check=False)
     assert done.returncode != 0
-    assert "paths.robot" in done.stdout
-    assert "no file resources/robot/none.xml" in done.stdout
+    assert place in done.stdout
+    assert f"found:    {found}" in done.stdout
+
+
+def test_a_number_on_the_command_line_is_told_to_come_in_a_file(project):
+    done = project.snakemake("-n", "--cores", "1", "--config", 'identification={"restarts": 3}', check=False)
+    assert done.returncode != 0
+    assert "but in a file by --configfile" in done.stdout
 
 
 def test_unknown_key_is_refused_before_any_job(project):

@@ -59,6 +59,14 @@ def test_a_lab_with_nobody_to_calibrate_uses_the_published_priors(project):
     assert "snakemake --cores 2 person_P01" in done.stdout
 
 
+def test_a_diagnosis_of_one_trial_is_refused_with_the_remedy(project):
+    _add(project, "P01", "validation", (*SWEPT, "dynamic_1"))
+    done = project.snakemake("-n", "--cores", "1", "results/diagnosis/P01/diagnosis.html", check=False)
+    assert done.returncode != 0
+    assert "two for a diagnosis" in done.stdout
+    assert "dynamic_2.tsv" in done.stdout
+
+
 def test_a_person_without_dynamic_trials_or_sweeps_still_has_a_page(project):
     _add(project, "P01", "validation", SWEPT)
     planned = project.planned("person_P01")

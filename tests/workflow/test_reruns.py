@@ -123,6 +123,30 @@ def test_changed_raw_trial_fits_that_person_only(mini):
     assert planned["fit"] == 2, "the person's own two trials and nobody else's"
 
 
+@pytest.mark.parametrize(
+    ("gone", "told"),
+    [
+        ("rotation_T*", "no trial rotation_T"),
+        ("dynamic_*", "no dynamic trial"),
+    ],
+)
+def test_recordings_that_are_gone_are_missed_though_results_of_them_are_there(mini, gone, told):
+    for file in (mini.folder / "resources" / "subjects" / "S01").glob(gone):
+        file.unlink()
+    done = mini.snakemake("-n", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert told in done.stdout
+    assert "trial_missing" in done.stdout
+
+
+def test_a_finished_study_with_nobody_left_to_calibrate_is_refused(mini):
+    for file in (mini.folder / "resources" / "subjects").glob("*/subject.yaml"):
+        file.write_text(file.read_text().replace("cohort: calibration", "cohort: validation"))
+    done = mini.snakemake("-n", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert "at least one person to calibrate on" in done.stdout
+
+
 def test_trials_that_changed_their_names_are_read_and_fitted_again(mini):
     """Renamed files keep their dates, so nothing is newer than its results."""
     folder = mini.folder / "resources" / "subjects" / "S01"

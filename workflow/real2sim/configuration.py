@@ -97,7 +97,13 @@ def _explain(
     expected = str(failed.get("description", "a value that the schema allows"))
     remedy = f"Correct the value; {page} has the keys."
     if isinstance(error.instance, str) and _is_number(error.instance):
-        remedy = f"YAML reads {error.instance} as text: write it with a point, as in 1.0e+1."
+        text = error.instance.lower()
+        if "e" in text and not ("." in text and ("e+" in text or "e-" in text)):
+            remedy = f"YAML reads {error.instance} as text: write it with a point and a sign, as in 1.0e+1."
+        else:
+            remedy = "Write it without quotes; a number cannot be given by --config, but in a file by --configfile."
+    elif error.validator == "type" and error.validator_value == "string":
+        remedy = f"Put it in quotes: YAML reads {str(error.instance)[:40]} as a number or a truth value."
     return InputError(source, place, message, expected, remedy, "value")
 
 
@@ -170,6 +176,28 @@ def _check_low_pass(content: dict[str, Any], source: Path) -> None:
         raise InputError(source, "ingest.cutoff_hz", found, expected, remedy, "value")
 
 
+def _check_order(content: Mapping[str, Any], source: Path | str) -> None:
+    """Refuse intervals whose ends are exchanged or equal, and a time step that does not divide the sample interval."""
+    intervals = {
+        f"identification.bounds.{name}": ends for name, ends in content["identification"]["bounds"].items()
+    }
+    intervals["ingest.units.marker_extent_m"] = content["ingest"]["units"]["marker_extent_m"]
+    limits = content["statistics"]
+    intervals["statistics.common_below and distinct_from"] = [
+        limits["common_below"],
+        limits["distinct_from"],
+    ]
+    for place, (low, high) in intervals.items():
+        if not low < high:
+            found, expected = f"[{low:g}, {high:g}]", "the lower number first, and two that differ"
+            raise InputError(source, place, found, expected, "Exchange or correct them.", "value")
+    step, rate = content["plant"]["timestep_s"], content["ingest"]["rate_hz"]
+    if step != "auto" and abs(1 / (rate * step) - round(1 / (rate * step))) > 1e-6:
+        expected = f"a whole part of the sample interval of {1 / rate:g} s (ingest.rate_hz), or auto"
+        remedy = f"Write {1 / (rate * max(1, math.ceil(1 / (rate * step) - 1e-9))):.6g}, or auto."
+        raise InputError(source, "plant.timestep_s", f"{step:g} s", expected, remedy, "value")
+
+
 def check_lab_axes(axes: Mapping[str, Any], source: Path | str) -> None:
     """Raise InputError naming ``source`` unless ``ingest.lab_to_world`` is a right-handed set of three lab axes."""
     named = [str(axes.get(axis, "")) for axis in "xyz"]
@@ -207,5 +235,6 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     _check_texts(filled, source)
     if schema_name == "config":
         _check_low_pass(filled, source)
+        _check_order(filled, source)
         check_lab_axes(filled["ingest"]["lab_to_world"], source)
     return filled

@@ -54,6 +54,8 @@ def load_study(raw_config):
         if Path(source).suffix in (".yaml", ".yml"):
             read_yaml(Path(source))
     study = validated(raw_config, "config", sources)
+    if study["cohort"] != "phantom":
+        check_path(study, sources, "subjects", Path.is_dir, "the folder of the people's folders")
     people = {} if study["cohort"] == "phantom" else discover(Path(study["paths"]["subjects"]))
     phantom = None
     if study["cohort"] == "phantom" or (study["cohort"] == "auto" and not people):
@@ -61,22 +63,49 @@ def load_study(raw_config):
         people = planned_subjects(phantom, Path("results/phantom/raw"))
     if not people:
         raise nobody_to_calibrate(study, people)
-    check_robot(study, sources)
+    check_path(study, sources, "robot", Path.is_file, "the MJCF of the robot (docs/how-to/robot.md)")
+    check_path(study, sources, "published", Path.is_dir, "the folder of the paper's tables")
+    check_overrides(study["quality"]["override"], people, sources)
     return study, people, phantom
 
 
-def check_robot(study, sources):
-    """Raise InputError where the robot's MJCF is not there: every rule that needs it would only miss an input."""
-    robot = study["paths"]["robot"]
-    if not Path(robot).is_file():
-        raise InputError(
-            sources,
-            "paths.robot",
-            f"no file {robot}",
-            "the MJCF of the robot, relative to the folder in which Snakemake runs",
-            "Correct the path, or leave the key out for the robot that is shipped (docs/how-to/robot.md).",
-            "no_file",
-        )
+def check_path(study, sources, key, is_there, what):
+    """Raise InputError where a path of the configuration leads nowhere.
+
+    Rules that need it would only miss an input, results of before would stand, and without a folder of people the
+    phantom would take their place.
+    """
+    path = study["paths"][key]
+    if is_there(Path(path)):
+        return
+    remedy = "Correct the path, or leave the key out for what is shipped"
+    if key == "subjects":
+        remedy = "Correct the path or make the folder; give `--config cohort=phantom` to run the phantom"
+    raise InputError(
+        sources,
+        f"paths.{key}",
+        f"nothing at {path}",
+        f"{what}, relative to the folder in which Snakemake runs",
+        f"{remedy}.",
+        "no_file",
+    )
+
+
+def check_overrides(overrides, people, sources):
+    """Raise InputError where an overridden trial is nobody's: found before any job, as a wrong `exclude` is."""
+    known = {f"{name}/{trial}" for name, person in people.items() for trial in person.trials}
+    for key in overrides:
+        if key not in known:
+            person = key.partition("/")[0]
+            trials = ", ".join(people[person].trials) if person in people else f"people {', '.join(people)}"
+            raise InputError(
+                sources,
+                f"quality.override.{key}",
+                "no such trial",
+                f"<SUBJECT>/<TRIAL> of a trial that is there: {trials}",
+                "Correct the name, or remove it.",
+                "trial_name",
+            )
 
 
 def nobody_to_calibrate(study, people):
@@ -255,6 +284,36 @@ def first_dynamic(wildcards):
         "pose": poses_of(wildcards.subject, "dynamic")[0],
         "markers": markers_of(wildcards.subject, "dynamic")[0],
     }
+
+
+def everyone_can_be_calibrated(wildcards):
+    """Nothing, where the calibration cohort has someone, and everyone in it the trials that a fit needs.
+
+    It is asked for targets: a rule whose input functions refuse is not planned where its results are there already,
+    and Snakemake goes on with those.
+    """
+    fits_of_cohort(wildcards)
+    for name in CALIBRATION:
+        asked_for(lambda person=PEOPLE[name]: require_dynamic(person))
+        asked_for(lambda person=PEOPLE[name]: require_operating_point(person))
+    return []
+
+
+def diagnosed_trials(wildcards):
+    """pose.parquet of the dynamic trials of a person who has the two that a diagnosis needs."""
+    poses = poses_of(wildcards.subject, "dynamic")
+    if len(poses) < 2:
+        person = PEOPLE[wildcards.subject]
+        error = InputError(
+            person.folder,
+            "",
+            f"{len(poses)} dynamic trial{'s' * (len(poses) != 1)}",
+            "two for a diagnosis: one to fit, one to judge on",
+            "Add dynamic_2.tsv and dynamic_2.mot of another regime (docs/diagnosis.md).",
+            "trial_missing",
+        )
+        raise WorkflowError(f"\n{error}")
+    return poses
 
 
 def fits_of(subjects):

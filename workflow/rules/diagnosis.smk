@@ -38,9 +38,9 @@ rule diagnosis:
 rule diagnose:
     """Where the gap lies, which effect causes it and how far it shrinks, for one person."""
     input:
-        train=lambda wildcards: poses_of(wildcards.subject, "dynamic")[0],
-        held_out=lambda wildcards: poses_of(wildcards.subject, "dynamic")[1],
-        further=lambda wildcards: poses_of(wildcards.subject, "dynamic")[2:],
+        train=lambda wildcards: diagnosed_trials(wildcards)[0],
+        held_out=lambda wildcards: diagnosed_trials(wildcards)[1],
+        further=lambda wildcards: diagnosed_trials(wildcards)[2:],
         neutral="results/trials/{subject}/neutral/markers.parquet",
         gates=lambda wildcards: [
             f"results/quality/{wildcards.subject}/{trial}.json"

@@ -219,7 +219,7 @@ def _check_rate(bands: Bands) -> None:
     rate, cutoff, least = bands.rate_hz, bands.low_pass.cutoff_hz, bands.options["samples_per_period"]
     if rate < least * cutoff:
         raise InputError(
-            "config/config.yaml",
+            "the configuration",
             "key ingest.rate_hz",
             f"a common clock of {rate:g} Hz for a cut-off of {cutoff:g} Hz (ingest.cutoff_hz)",
             f"at least {least:g} samples in a period of the cut-off",
@@ -233,7 +233,7 @@ def _check_cutoff(bands: Bands) -> None:
     cutoff, least = bands.low_pass.cutoff_hz, bands.options["least_highest_hz"]
     if bands.edges_hz[-1] < least:
         raise InputError(
-            "config/config.yaml",
+            "the configuration",
             "key ingest.cutoff_hz",
             f"{cutoff:g} Hz, so that residuals count up to {bands.edges_hz[-1]:.3g} Hz alone",
             f"at least {least * bands.options['cutoff_margin']:g} Hz, so that they count up to {least:g} Hz",

@@ -19,11 +19,16 @@ if TYPE_CHECKING:
 
 
 def parameter_draws(published: Path, bounds: Bounds, count: int, seed: int) -> np.ndarray:
-    """Return the published prior and log-uniform draws from its intervals, within the bounds, (count, 12)."""
+    """Return the published prior and log-uniform draws from its intervals, within the bounds, (count, 12).
+
+    Where interval and bounds do not overlap, draws come from between the bounds.
+    """
     rows = {row["parameter"]: row for row in read_table(published, ("parameter", "prior", "interval_low"))}
-    prior = np.array([number(rows[name]["prior"]) for name in PARAMETERS])
+    prior = np.clip([number(rows[name]["prior"]) for name in PARAMETERS], bounds.lower, bounds.upper)
     low = np.maximum([number(rows[name]["interval_low"]) for name in PARAMETERS], bounds.lower)
     high = np.minimum([number(rows[name]["interval_high"]) for name in PARAMETERS], bounds.upper)
+    apart = low >= high
+    low, high = np.where(apart, bounds.lower, low), np.where(apart, bounds.upper, high)
     rng = np.random.default_rng(seed)
     return np.vstack([prior, np.exp(rng.uniform(np.log(low), np.log(high), (count - 1, 12)))])
 

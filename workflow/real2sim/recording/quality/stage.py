@@ -235,7 +235,7 @@ def _overrides(person: Subject, override: dict[str, str]) -> dict[str, str]:
         if trial not in person.trials:
             expected = f"a trial of {name}: {', '.join(person.trials)}"
             raise InputError(
-                "config/config.yaml", "key quality.override", key, expected, "Correct the name, or remove it."
+                "the configuration", "key quality.override", key, expected, "Correct the name, or remove it."
             )
         out[trial] = reason
     return out
@@ -317,7 +317,7 @@ def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) ->
         if key.partition("/")[0] not in known:
             expected = f"<SUBJECT>/<TRIAL> of one of {', '.join(sorted(known))}"
             raise InputError(
-                "config/config.yaml", "key quality.override", key, expected, "Correct the name, or remove it."
+                "the configuration", "key quality.override", key, expected, "Correct the name, or remove it."
             )
     shared = _same_across_people(people, settings)
     rows = []

@@ -52,5 +52,9 @@ def test_half_a_gram_too_much_is_found_and_none_is_not(system, heavier, verdict)
     if verdict != "none":
         (mass,) = (v["value"] for k, v in answer.answer.causes[0].parameters.items() if k.startswith("mass"))
         assert mass == pytest.approx((heavier - 1) * MASS, rel=0.1)
+        first = answer.table().iloc[0]
+        assert first["effect"] == "added_mass"
+        assert first["mass_kg_low"] < mass < first["mass_kg_high"]
+        assert first["together_with"] == ""
         again = r2s.diagnose(system, train=train, held_out=held_out, progress=lambda text: None, threads=2)
         assert again.answer.to_dict() == answer.answer.to_dict()

@@ -139,15 +139,20 @@ class Diagnosis:
         return self.answer.where
 
     def table(self) -> pd.DataFrame:
-        """Return one row per cause with some probability: effect, axes, probability, share of the gap closed."""
+        """Return one row per cause with some probability: effect, axes, probability, share of the gap closed.
+
+        ``together_with`` are the effects that it was fitted beside: the share is that of all of them. Parameters have
+        columns of their own, with the ends of their 95 % intervals (``_low``, ``_high``) where they were computed.
+        """
         return pd.DataFrame(
             [
                 {
                     "effect": c.effect,
                     "axes": " ".join(c.axes),
                     "probability": c.probability,
+                    "together_with": " ".join(c.beside),
                     "gap_closed": c.gap_closed,
-                    **{k: v["value"] for k, v in c.parameters.items()},
+                    **_values(c.parameters),
                 }
                 for c in self.answer.causes
             ]
@@ -203,6 +208,16 @@ class Diagnosis:
         from real2sim.pages.described_model import write_model
 
         write_model(Path(path), self.answer)
+
+
+def _values(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Values of an effect's parameters by name, each followed by the ends of its interval where it has one."""
+    out: dict[str, float] = {}
+    for name, entry in parameters.items():
+        out[name] = entry["value"]
+        if "ci95" in entry:
+            out[f"{name}_low"], out[f"{name}_high"] = entry["ci95"]
+    return out
 
 
 def identify(

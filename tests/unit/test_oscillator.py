@@ -43,6 +43,15 @@ def test_plain_fit_finds_the_resonance_from_starts_of_which_the_nearest_is_overd
     assert fit.values["d_x"] == pytest.approx(DAMPING, rel=0.05)
 
 
+@pytest.mark.parametrize(("step_s", "told"), [(1e-3, True), (5e-4, True), (1e-4, False)])
+def test_a_step_that_moves_the_fit_is_told(system, step_s, told):
+    fit = r2s.identify(replace(system, step_s=step_s), _recording(system, MASS, 1))
+    assert any(finding.code == "step_coarse" for finding in fit.findings) is told
+    # by how much the numbers are off is no question of noise
+    off = abs(fit.values["d_x"] / DAMPING - 1)
+    assert (off > 0.002) is told
+
+
 @pytest.mark.parametrize(("heavier", "verdict"), [(1.0, "none"), (1.1, "added_mass")])
 def test_half_a_gram_too_much_is_found_and_none_is_not(system, heavier, verdict):
     train, held_out = (_recording(system, heavier * MASS, seed) for seed in (1, 2))

@@ -28,6 +28,7 @@ from real2sim.diagnosis.intervals import Known, parameter_verdicts
 from real2sim.diagnosis.machines import beside_configured, search_with
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.step_check import step_findings
 from real2sim.diagnosis.system_evidence import SystemEvidence
 from real2sim.diagnosis.trials import Trials
 from real2sim.effects.base import Effect, Placed
@@ -245,7 +246,7 @@ def identify(
     options = _settings(settings)
     search = options["diagnosis"]["search"]
     odd = [*recording.findings, *_odd_channels(system, {recording.name: recording}, options)]
-    evidence: Evidence = _evidence(system, recording, quiet, options, threads)
+    evidence = _evidence(system, recording, quiet, options, threads)
     lower, upper = system.bounds()
     z = plain_fit(evidence, system, (lower + upper) / 2, search)
     evidence = evidence.adapted(system.values(z))
@@ -256,7 +257,8 @@ def identify(
     check_simulated(pair, fitted)
     known = parameter_verdicts(pair, fitted, evidence.samples, options)
     values = dict(zip(system.parameter_names, map(float, system.values(fitted.base)), strict=True))
-    near = options["diagnosis"]["described"]["channels"]["bound_share"]
+    channels = options["diagnosis"]["described"]["channels"]
+    steps = step_findings(evidence, system, fitted.base, options["diagnosis"])
     return Fit(
         system,
         recording.name,
@@ -265,7 +267,7 @@ def identify(
         fitted.chi2[0],
         evidence.samples,
         _traces(evidence, pair, fitted),
-        (*odd, *units_in_doubt(system, values, recording.name, near)),
+        (*odd, *units_in_doubt(system, values, recording.name, channels["bound_share"]), *steps),
     )
 
 
@@ -327,8 +329,10 @@ def diagnose(
     plain = dict(
         zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
     )
-    near = options["diagnosis"]["described"]["channels"]["bound_share"]
-    doubts = list(units_in_doubt(system, plain, train.name, near))
+    channels, found = options["diagnosis"]["described"]["channels"], outcome.found
+    doubts = list(units_in_doubt(system, plain, train.name, channels["bound_share"]))
+    train_as_fitted = cast("SystemEvidence", found.pair.train)
+    doubts += step_findings(train_as_fitted, system, found.attribution.plain.base, options["diagnosis"])
     _tell_findings(doubts, tell)
     return Diagnosis(system, answer(outcome, options, tell, machines=machines), (*findings, *doubts))
 

@@ -652,6 +652,7 @@ DiagnosisDescribedChannelsSettings = TypedDict(
         "least_levels": float,
         "most_scale": float,
         "bound_share": float,
+        "step_sd": float,
     },
 )
 

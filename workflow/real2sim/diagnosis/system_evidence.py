@@ -190,8 +190,19 @@ class SystemEvidence:
 
     def replay(self, effects: Sequence[Placed], nsim: int, *, coarse: bool = False) -> SystemReplay:
         """Return a simulation of this trial with effects; ``coarse`` makes no difference."""
-        setup = self.simulated.setup(substeps(effects, self.simulated.base_step_s))
-        setup = replace(setup, settled=self.settled)
+        return self._replay(effects, nsim, substeps(effects, self.simulated.base_step_s))
+
+    def changed_by_half_the_step(self, parameters: np.ndarray) -> np.ndarray:
+        """Return the change of the whitened residuals (n_r,) at parameters (p,) by half the time step."""
+        here, finer = (
+            self.whitened(*self._replay((), 1, parts).run_effects(parameters[None], []))[0]
+            for parts in (1, 2)
+        )
+        return np.asarray(finer - here)
+
+    def _replay(self, effects: Sequence[Placed], nsim: int, parts: int) -> SystemReplay:
+        """Return a simulation whose time step is divided into parts."""
+        setup = replace(self.simulated.setup(parts), settled=self.settled)
         steps = self.measured.time_s[0] + setup.timestep * np.arange(len(setup.commands))
         context = replace(self.context, step_time_s=steps, held_out=self.held_out)
         return SystemReplay(setup, effects, context, self.scales, nsim)

@@ -31,9 +31,9 @@ STEPPED = SETTINGS | {"plant": SETTINGS["plant"] | {"timestep_s": 0.01}}
 BOUNDS = Bounds.from_config(CONFIG["identification"]["bounds"])
 
 
-def model_of(trial) -> TrialModel:
+def model_of(trial, robot=ROBOT) -> TrialModel:
     return trial_model(
-        pose=trial.pose, markers=trial.markers, limits=trial.limits, robot=ROBOT, settings=STEPPED, nsim=13
+        pose=trial.pose, markers=trial.markers, limits=trial.limits, robot=robot, settings=STEPPED, nsim=13
     )
 
 
@@ -241,3 +241,16 @@ def test_fit_is_the_same_bytes_with_one_thread_and_two_alone_and_beside_another(
                 threads=threads,
             )
         assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_robot_with_actuators_of_its_own_is_moved_by_the_pelvis_alone(trial, model, tmp_path):
+    """A published model has drives: they are not what moved the strap, nor do they take the place of what did."""
+    drives = """<actuator><position name="own" joint="base_x" kp="5000"/><velocity joint="arm_lift" kv="90"/>
+      </actuator><sensor><jointpos joint="arm_roll"/><actuatorfrc actuator="own"/></sensor>
+      <keyframe><key ctrl="0.5 0.5"/></keyframe></mujoco>"""
+    other = tmp_path / "robot.xml"
+    other.write_text(ROBOT.read_text(encoding="utf-8").replace("</mujoco>", drives), encoding="utf-8")
+    parameters = as_vector(trial.parameters)[None]
+    moved = model_of(trial, other).replay.run(parameters)
+    assert np.isfinite(moved).all()
+    assert np.array_equal(moved, model.replay.run(parameters))

@@ -9,7 +9,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.system.description import FORCE, MASS, PATH, POSE, System
-from real2sim.system.mjcf import read_model
+from real2sim.system.mjcf import read_model, without_drives
 from real2sim.system.plant import PELVIS_INERTIA, PELVIS_MASS, RestPose, servo_gains
 
 # Inertia of a joint that is moved along a path: the machine's forces do not move it against its servo [kg, kg m2]
@@ -88,7 +88,7 @@ def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: Rest
         Reference frame of the drive in the world, for the same.
     """
     spec = load_model(system)
-    _without_drives(spec)
+    without_drives(spec)
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -121,15 +121,6 @@ def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: Rest
 def own_actuators(system: System) -> list[str]:
     """Return the actuators of a system's MJCF, by name or number: `plant_of` leaves them out."""
     return [a.name or f"number {i + 1}" for i, a in enumerate(load_model(system).actuators)]
-
-
-def _without_drives(spec: mujoco.MjSpec) -> None:
-    """Take away the MJCF's own actuators, and the sensors and keyframes that may name them.
-
-    What drives a joint stands in the recording, and controllers stand in the description.
-    """
-    for element in [*spec.sensors, *spec.keys, *spec.actuators]:
-        spec.delete(element)
 
 
 def _hang_segment(spec: mujoco.MjSpec, system: System, anchor: Anchor) -> None:

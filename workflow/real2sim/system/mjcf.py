@@ -41,3 +41,12 @@ def read_model(path: Path) -> mujoco.MjSpec:
     except (ValueError, OSError) as error:
         found = " ".join(str(error).split()) or "a file that MuJoCo does not read"
         raise InputError(path, "", found, "an MJCF that compiles", "Correct the file.", "model") from error
+
+
+def without_drives(spec: mujoco.MjSpec) -> None:
+    """Take away a model's own actuators, and the sensors and keyframes that may name them.
+
+    What drives a joint stands in the recording, and controllers stand in the description or the configuration.
+    """
+    for element in [*spec.sensors, *spec.keys, *spec.actuators]:
+        spec.delete(element)

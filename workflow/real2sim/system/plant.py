@@ -23,7 +23,7 @@ import numpy as np
 
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
-from real2sim.system.mjcf import read_model
+from real2sim.system.mjcf import read_model, without_drives
 
 if TYPE_CHECKING:
     from real2sim.settings import PlantSettings
@@ -57,7 +57,7 @@ class JointLimits:
 
 
 def load_robot(path: Path) -> mujoco.MjSpec:
-    """Read a robot twin and check that it has the names that the plant needs.
+    """Read a robot twin without drives of its own, and check that it has the names that the plant needs.
 
     Raises
     ------
@@ -81,6 +81,7 @@ def load_robot(path: Path) -> mujoco.MjSpec:
             "model_names",
         )
     _check_sides(path, spec)
+    without_drives(spec)
     return spec
 
 

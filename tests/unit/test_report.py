@@ -285,6 +285,9 @@ def test_the_front_answers_the_question_of_the_study():
     assert "given one" not in text
     assert "S02: sway in pitch." in text
     assert front([], []) == ""
+    nothing = front([first], [later])
+    assert "synthetic people" not in nothing
+    assert "<ul></ul>" not in nothing
     nobody = _diagnosis() | {"verdict": "none", "verdict_set": ["none"], "next_trial": None}
     nobody["probabilities"] = {"none": 1.0}
     assert "Nowhere that these recordings show." in front([nobody], [])

@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from handmade_person import SETTINGS, write_person
+from real2sim.errors import InputError
 from real2sim.recording.formats import detect, robot_log
 from real2sim.recording.formats.robot_log import ARM_JOINTS
 from real2sim.recording.ingest import ingest_subject
@@ -166,8 +167,11 @@ def test_other_publishers_of_joint_states_have_no_say(tmp_path, log):
     assert [code for code, _, _ in codes(read)] == ["joint_subset"]
 
 
-def write_split_log(path, log, *, late, lost=None):
-    """Write a log with each of the arm's joints in a message of its own, ``late`` [s] after the base."""
+def write_split_log(path, log, *, late, lost=None, rare=""):
+    """Write a log with each of the arm's joints in a message of its own, ``late`` [s] after the base.
+
+    ``lost``: joint without messages between two times [s]; ``rare``: joint with every other message alone.
+    """
     from mcap.writer import Writer
 
     messages = [
@@ -178,6 +182,7 @@ def write_split_log(path, log, *, late, lost=None):
     for name, delay in late.items():
         t = log.joint_time_s + delay
         keep = np.ones(len(t), bool) if lost is None or name != lost[0] else ~((t > lost[1]) & (t < lost[2]))
+        keep[1::2] &= name != rare
         wave = np.column_stack([np.sin(2 * t + delay), 2 * np.cos(2 * t + delay)])[keep]
         stamps = log.start_ns + np.rint(t[keep] * 1e9).astype(np.int64)
         values = {"position": wave[:, :1], "velocity": wave[:, 1:]}
@@ -212,10 +217,42 @@ def test_joints_that_each_controller_publishes_alone_are_joined(tmp_path, log):
 def test_a_joint_that_falls_silent_is_not_made_up(tmp_path, log):
     late = {"arm_lift": 0.0, "arm_roll": 0.003, "arm_pitch": 0.006}
     write_split_log(tmp_path / "a.mcap", log, late=late, lost=("arm_roll", 2.0, 3.0))
-    t = detect.read_log(tmp_path / "a.mcap").joint_time_s
+    read = detect.read_log(tmp_path / "a.mcap")
+    assert ("joint_split", "info", "/joint_states") in codes(read)
+    t = read.joint_time_s
     assert not ((t > 2.01) & (t < 2.99)).any()
     assert ((t > 1.9) & (t < 2.0)).any()
     assert ((t > 3.0) & (t < 3.1)).any()
+
+
+def test_times_at_which_a_more_frequent_joint_is_silent_are_left_out_and_counted(tmp_path, log):
+    late = {"arm_lift": 0.0, "arm_roll": 0.003, "arm_pitch": 0.006}
+    write_split_log(tmp_path / "a.mcap", log, late=late, lost=("arm_roll", 2.0, 3.0), rare="arm_lift")
+    read = detect.read_log(tmp_path / "a.mcap")
+    (split,) = (f for f in read.findings if f.code == "joint_split")
+    assert split.severity == "warning"
+    # a message every 20 ms, from the last one before the second without to the first one after
+    assert "at 51 of 299 times another joint has none near by" in split.message
+    assert not ((read.joint_time_s > 2.01) & (read.joint_time_s < 2.99)).any()
+
+
+def test_joints_that_come_in_bursts_are_known_between_them(tmp_path, log):
+    """Ten messages a millisecond apart, then none for a while: as of a driver that flushes its queue."""
+    bursts = (np.arange(60)[:, None] * 0.1 + np.arange(10) * 0.001).ravel()
+    late = {"arm_lift": 0.0, "arm_roll": 0.03, "arm_pitch": 0.05}
+    write_split_log(tmp_path / "a.mcap", replace(log, joint_time_s=bursts), late=late)
+    read = detect.read_log(tmp_path / "a.mcap")
+    assert ("joint_split", "info", "/joint_states") in codes(read)
+    assert len(read.joint_time_s) > 0.95 * len(bursts)
+    t = read.joint_time_s
+    np.testing.assert_allclose(read.joints["arm_pitch"][:, 0], np.sin(2 * t + 0.05), atol=1e-3)
+
+
+def test_a_joint_of_a_single_message_is_named(tmp_path, log):
+    late = {"arm_lift": 0.0, "arm_roll": 0.003, "arm_pitch": 0.006}
+    write_split_log(tmp_path / "a.mcap", log, late=late, lost=("arm_roll", 0.005, 9.0))
+    with pytest.raises(InputError, match="a single message with arm_roll"):
+        detect.read_log(tmp_path / "a.mcap")
 
 
 def test_forces_that_are_no_numbers_are_left_out(tmp_path, log):

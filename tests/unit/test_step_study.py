@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import copy
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from real2sim.configuration import validated
+from real2sim.errors import InputError
 from real2sim.inference.parameters import Bounds
 from real2sim.study.step_study import parameter_draws, step_study
 from recorded_trial import CONFIG, PUBLISHED, ROBOT, record
@@ -110,3 +113,12 @@ def test_bounds_beside_the_published_interval_are_drawn_from(k_rz):
     assert (draws >= bounds.lower).all()
     assert (draws <= bounds.upper).all()
     assert len(np.unique(draws[1:, 5])) == 5
+
+
+@pytest.mark.parametrize("step_s", [0.004, 0.003, 0.0015, 0.0007])
+def test_the_step_that_is_advised_is_accepted(step_s):
+    with pytest.raises(InputError, match="divided by a whole number") as refused:
+        validated({"plant": {"timestep_s": step_s}}, "config", Path("mine.yaml"))
+    advised = float(refused.value.remedy.removeprefix("Write ").partition(",")[0])
+    assert advised < step_s
+    validated({"plant": {"timestep_s": advised}}, "config", Path("mine.yaml"))

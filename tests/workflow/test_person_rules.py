@@ -63,8 +63,8 @@ def test_a_diagnosis_of_one_trial_is_refused_with_the_remedy(project):
     _add(project, "P01", "validation", (*SWEPT, "dynamic_1"))
     done = project.snakemake("-n", "--cores", "1", "results/diagnosis/P01/diagnosis.html", check=False)
     assert done.returncode != 0
-    assert "two for a diagnosis" in done.stdout
-    assert "dynamic_2.tsv" in done.stdout
+    assert "found:    dynamic_1\n" in done.stdout
+    assert "two dynamic trials for a diagnosis" in done.stdout
 
 
 def test_a_person_without_dynamic_trials_or_sweeps_still_has_a_page(project):

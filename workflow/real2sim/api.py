@@ -245,7 +245,11 @@ def identify(
     """
     options = _settings(settings)
     search = options["diagnosis"]["search"]
-    odd = [*recording.findings, *_odd_channels(system, {recording.name: recording}, options)]
+    odd = [
+        *(f for r in (recording, quiet) if r is not None for f in r.findings),
+        *_own_actuators(system),
+        *_odd_channels(system, {recording.name: recording}, options),
+    ]
     evidence = _evidence(system, recording, quiet, options, threads)
     lower, upper = system.bounds()
     z = plain_fit(evidence, system, (lower + upper) / 2, search)
@@ -258,7 +262,7 @@ def identify(
     known = parameter_verdicts(pair, fitted, evidence.samples, options)
     values = dict(zip(system.parameter_names, map(float, system.values(fitted.base)), strict=True))
     channels = options["diagnosis"]["described"]["channels"]
-    steps = step_findings(evidence, system, fitted.base, options["diagnosis"])
+    steps = step_findings(pair, fitted, options["diagnosis"])
     return Fit(
         system,
         recording.name,
@@ -314,10 +318,12 @@ def diagnose(
             twice, "", "the same name for two recordings", "a name for each", "Rename one of them."
         )
     tell = progress or (lambda text: print(f"{system.name}: {text}", file=sys.stderr, flush=True))
-    findings = [f for r in given for f in r.findings] + list(_odd_channels(system, recordings, options))
+    systems = beside_configured(system, others or {}, "others")
+    findings = [f for r in (*given, quiet) if r is not None for f in r.findings]
+    findings += [f for each in systems.values() for f in _own_actuators(each)]
+    findings += _odd_channels(system, recordings, options)
     _tell_findings(findings, tell)
     more = tuple(r.name for r in further)
-    systems = beside_configured(system, others or {}, "others")
     outcome, machines = search_with(
         {
             name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)
@@ -331,8 +337,7 @@ def diagnose(
     )
     channels, found = options["diagnosis"]["described"]["channels"], outcome.found
     doubts = list(units_in_doubt(system, plain, train.name, channels["bound_share"]))
-    train_as_fitted = cast("SystemEvidence", found.pair.train)
-    doubts += step_findings(train_as_fitted, system, found.attribution.plain.base, options["diagnosis"])
+    doubts += step_findings(found.pair, found.attribution.plain, options["diagnosis"])
     _tell_findings(doubts, tell)
     return Diagnosis(system, answer(outcome, options, tell, machines=machines), (*findings, *doubts))
 
@@ -364,17 +369,21 @@ def _tell_findings(findings: Sequence[Finding], tell: Callable[[str], None]) -> 
         tell(f"{finding.severity}: {finding.file}, {finding.place}: {finding.message}. {finding.action}")
 
 
-def _odd_channels(
-    system: System, recordings: Mapping[str, Recording], options: Settings
-) -> Iterator[Finding]:
-    """Yield what is odd about the model, and about the columns of recordings, alone and beside each other."""
-    for recording in recordings.values():
-        check_columns(system, recording)
+def _own_actuators(system: System) -> Iterator[Finding]:
+    """Yield that the model of a system has actuators of its own, where it has."""
     if own := own_actuators(system):
         message, action = "the model has actuators of its own", "Left out: the recording drives the joints."
         yield Finding(
             "model_actuators", "info", system.model.name, f"actuator {', '.join(own)}", message, action
         )
+
+
+def _odd_channels(
+    system: System, recordings: Mapping[str, Recording], options: Settings
+) -> Iterator[Finding]:
+    """Yield what is odd about the columns of recordings, alone and beside each other."""
+    for recording in recordings.values():
+        check_columns(system, recording)
     settings = options["diagnosis"]["described"]["channels"]
     driven = set(system.drive.columns.values())
     for name, r in recordings.items():

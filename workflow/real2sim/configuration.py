@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import math
 import sys
@@ -16,6 +17,8 @@ from real2sim.errors import InputError
 from real2sim.yaml_text import YamlRefusal, parse_yaml
 
 SCHEMAS = Path(__file__).parent / "schemas"
+# Page that has the keys of the study's configuration, and of subject.yaml
+_STUDY_PAGE = "config/README.md"
 
 
 def read_yaml(path: Path) -> Any:
@@ -96,23 +99,29 @@ def _explain(
     message = _shortened(error.message)
     expected = str(failed.get("description", "a value that the schema allows"))
     remedy = f"Correct the value; {page} has the keys."
-    if isinstance(error.instance, str) and _is_number(error.instance):
-        text = error.instance.lower()
-        if "e" in text and not ("." in text and ("e+" in text or "e-" in text)):
-            remedy = f"YAML reads {error.instance} as text: write it with a point and a sign, as in 1.0e+1."
-        else:
-            remedy = "Write it without quotes; a number cannot be given by --config, but in a file by --configfile."
-    elif error.validator == "type" and error.validator_value == "string":
-        remedy = f"Put it in quotes: YAML reads {str(error.instance)[:40]} as a number or a truth value."
+    if error.validator == "type":
+        remedy = _retyped(error.instance, str(error.validator_value), page) or remedy
     return InputError(source, place, message, expected, remedy, "value")
+
+
+def _retyped(value: Any, wanted: str, page: str) -> str:
+    """Return what to do about a value that YAML reads as another type than the wanted one; empty for no advice."""
+    if wanted in ("number", "integer") and isinstance(value, str) and _is_number(value):
+        text = value.lower()
+        if "e" in text and not ("." in text and ("e+" in text or "e-" in text)):
+            return f"YAML reads {value} as text: write it with a point and a sign, as in 1.0e+1."
+        given = " A number cannot be given by --config, but in a file by --configfile."
+        return "Write it without quotes." + given * (page == _STUDY_PAGE)
+    if wanted == "string" and isinstance(value, (bool, int, float, datetime.date)):
+        return f"Put it in quotes: YAML reads {value} as a number, a truth value or a date."
+    return ""
 
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        return math.isfinite(float(text))
     except ValueError:
         return False
-    return True
 
 
 def _shortened(text: str) -> str:
@@ -193,8 +202,10 @@ def _check_order(content: Mapping[str, Any], source: Path | str) -> None:
             raise InputError(source, place, found, expected, "Exchange or correct them.", "value")
     step, rate = content["plant"]["timestep_s"], content["ingest"]["rate_hz"]
     if step != "auto" and abs(1 / (rate * step) - round(1 / (rate * step))) > 1e-6:
-        expected = f"a whole part of the sample interval of {1 / rate:g} s (ingest.rate_hz), or auto"
-        remedy = f"Write {1 / (rate * max(1, math.ceil(1 / (rate * step) - 1e-9))):.6g}, or auto."
+        expected = (
+            f"the sample interval of {1 / rate:g} s (ingest.rate_hz) divided by a whole number, or auto"
+        )
+        remedy = f"Write {1 / (rate * max(1, math.ceil(1 / (rate * step) - 1e-9))):.12g}, or auto."
         raise InputError(source, "plant.timestep_s", f"{step:g} s", expected, remedy, "value")
 
 
@@ -230,7 +241,7 @@ def validated(content: Any, schema_name: str, source: Path) -> dict[str, Any]:
     errors = sorted(validator.iter_errors(filled), key=lambda e: len(e.absolute_path))
     if errors:
         pages = {"system": "docs/library.md", "suite": "docs/validation.md"}
-        raise _explain(errors[0], schema, source, pages.get(schema_name, "config/README.md"))
+        raise _explain(errors[0], schema, source, pages.get(schema_name, _STUDY_PAGE))
     _check_finite(filled, schema, source)
     _check_texts(filled, source)
     if schema_name == "config":

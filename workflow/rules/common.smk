@@ -304,12 +304,14 @@ def diagnosed_trials(wildcards):
     poses = poses_of(wildcards.subject, "dynamic")
     if len(poses) < 2:
         person = PEOPLE[wildcards.subject]
+        there = ", ".join(person.trials_of("dynamic")) or "no dynamic trial"
+        left_out = [f"{name}: {why}" for name, why in person.exclude.items() if name.startswith("dynamic")]
         error = InputError(
             person.folder,
             "",
-            f"{len(poses)} dynamic trial{'s' * (len(poses) != 1)}",
-            "two for a diagnosis: one to fit, one to judge on",
-            "Add dynamic_2.tsv and dynamic_2.mot of another regime (docs/diagnosis.md).",
+            there + (f" (excluded: {'; '.join(left_out)})" if left_out else ""),
+            "two dynamic trials for a diagnosis: one to fit, one to judge on",
+            "Add the marker and markerless export of another regime, dynamic_<number> (docs/diagnosis.md).",
             "trial_missing",
         )
         raise WorkflowError(f"\n{error}")

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.system_evidence import SystemEvidence
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals
+from real2sim.diagnosis.search import Pair, Search
 from real2sim.recording.formats.recordings import Finding
-from real2sim.system.description import System
 
 if TYPE_CHECKING:
+    from real2sim.diagnosis.system_evidence import SystemEvidence
     from real2sim.settings import DiagnosisSettings
 
 
-def step_findings(
-    evidence: SystemEvidence, system: System, z: np.ndarray, settings: DiagnosisSettings
-) -> Iterator[Finding]:
+def step_findings(pair: Pair, plain: Hypothesis, settings: DiagnosisSettings) -> Iterator[Finding]:
     """Yield a warning where half the time step would move a parameter of the plain fit by more than its interval bears.
 
-    ``evidence`` is whitened, ``z`` (n,) are the fit's searched numbers, ``settings`` is the slice ``diagnosis``. The
-    move is that of one Gauss-Newton step, in units of the SD that the parameter's interval is made of.
+    ``pair`` holds recordings of a described system, ``settings`` is the slice ``diagnosis``. The move is that of one
+    Gauss-Newton step, in units of the SD that the parameter's interval is made of (`parameter_verdicts`).
     """
+    evidence, system, z = cast("SystemEvidence", pair.train), pair.system, plain.base
+    excess = 1 + max(Search(pair, settings["search"]).above_by_trial(plain)[0], 0.0) / evidence.samples
     most_sd, plant_sd = settings["described"]["channels"]["step_sd"], settings["report"]["plant_sd_ln"]
     problem = JointResiduals(evidence, (), system)
     free = problem.free
@@ -36,7 +36,7 @@ def step_findings(
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
     curvature = (rows / scale).T @ (rows / scale)
     covariance = np.linalg.pinv(curvature, rcond=1e-8)
-    sd = np.hypot(np.sqrt(np.diag(covariance)) / scale, plant_sd)
+    sd = np.hypot(np.sqrt(np.diag(covariance) * excess) / scale, plant_sd)
     moved = covariance @ (rows / scale).T @ changed / scale / sd
     worst = int(np.argmax(np.abs(moved)))
     if abs(moved[worst]) > most_sd:

@@ -496,9 +496,10 @@ class SystemReplay(FreeRuns):
     def _along_path(self) -> dict[str, LoneJoint]:
         """Joints whose force is an output, by name."""
         system = self._setup.system
-        rotors = {joint.name: float(joint.armature) for joint in load_model(system).joints}
+        # the plant's own joint has the inertia that holds it to its path
+        spec = load_model(system)
         forced = [o.joint for o in system.outputs if o.quantity == "force"]
-        return {name: lone_joint(self.model, name, rotors, system.model) for name in forced}
+        return {n: lone_joint(self.model, n, float(spec.joint(n).armature), system.model) for n in forced}
 
 
 def _sensor(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, obj: mujoco.mjtObj, target: str) -> None:

@@ -128,11 +128,12 @@ def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]])
             for name, words in _CLAIMS.items()
             if name in claims
         ]
-        parts.append(
-            "How often it is right about real people is not known. On synthetic people whose cause was withheld "
-            "(95 % intervals in brackets):"
-        )
-        parts.append("<ul>" + "".join(f"<li>{escape(text)}</li>" for text in scored) + "</ul>")
+        if scored:
+            parts.append(
+                "How often it is right about real people is not known. On synthetic people whose cause was withheld, "
+                "in the latest suite that asked each question (95 % intervals in brackets):"
+            )
+            parts.append("<ul>" + "".join(f"<li>{escape(text)}</li>" for text in scored) + "</ul>")
     return "\n".join(parts)
 
 

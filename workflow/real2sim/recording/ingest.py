@@ -516,9 +516,7 @@ def _check_log(path: Path, log: RobotLog, least_s: float, max_gap_s: float) -> N
             if period > max_gap_s:
                 found = f"a message every {period:.3g} s"
                 expected = f"one in {max_gap_s:g} s at least (ingest.max_gap_s)"
-                remedy = (
-                    "record the topic at a higher rate, or take the file away: a trial may be without one"
-                )
+                remedy = "record the topic at a higher rate, or remove the log: a trial may have none"
                 raise InputError(path, f"topic {topic}", found, expected, remedy, "log_rate")
         return
     found = f"{len(base)} messages of /odom and {len(arm)} of /joint_states, together for {max(together, 0.0):.2f} s"

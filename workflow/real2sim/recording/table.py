@@ -188,7 +188,7 @@ def check_columns(system: System, recording: Recording) -> None:
             "outputs",
             "nothing that is measured beside the drive",
             "an output, markers of the interface, or a logged joint of the machine",
-            "Name in system.yaml what the recordings hold.",
+            "Name in the description of the system what the recordings hold.",
             "value",
         )
     missing = [column for column in required_columns(system) if column not in recording.columns]

@@ -68,9 +68,9 @@ def _check_types(spec: mujoco.MjSpec, system: System) -> None:
             raise InputError(
                 system.model,
                 f"joint {axis.joint}",
-                f"{names.get(kind, 'neither hinge nor slide')} where system.yaml says type: {said}",
+                f"{names.get(kind, 'neither hinge nor slide')}, and type: {said} in the description of {system.name}",
                 "the type of the joint in interface.axes (slide where it says none)",
-                f"Write type: {'slide' if axis.rotational else 'hinge'} for the axis {axis.name}."
+                f"Write type: {'slide' if axis.rotational else 'hinge'} for the axis {axis.name} in the description."
                 if kind in names
                 else "Model the interface by hinges and slides.",
                 "value",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,10 +31,8 @@ class LoneJoint:
         return np.asarray(self.rotor + mass[:, self.bodies] @ self.by_mass + own)
 
 
-def lone_joint(model: mujoco.MjModel, name: str, rotors: Mapping[str, float], source: Path) -> LoneJoint:
-    """Return what moves with a joint of a compiled model.
-
-    ``rotors`` are the joints of the MJCF ``source`` with their own inertia; others were added to the plant.
+def lone_joint(model: mujoco.MjModel, name: str, rotor: float, source: Path) -> LoneJoint:
+    """Return what moves with a joint of a compiled model; ``rotor`` is its own inertia, ``source`` the MJCF.
 
     Raises
     ------
@@ -46,9 +43,9 @@ def lone_joint(model: mujoco.MjModel, name: str, rotors: Mapping[str, float], so
     body = int(model.jnt_bodyid[joint.id])
     tree = model.body_treeid
     others = [
-        other
-        for other in rotors
-        if other != name and tree[model.jnt_bodyid[model.joint(other).id]] == tree[body]
+        model.joint(j).name or f"joint number {j + 1}"
+        for j in range(model.njnt)
+        if j != joint.id and tree[model.jnt_bodyid[j]] == tree[body]
     ]
     if others:
         raise InputError(
@@ -61,10 +58,10 @@ def lone_joint(model: mujoco.MjModel, name: str, rotors: Mapping[str, float], so
         )
     bodies = np.array([b for b in range(model.nbody) if tree[b] == tree[body]], int)
     if model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE:
-        return LoneJoint(bodies, np.ones(len(bodies)), np.zeros((len(bodies), 3)), rotors[name])
+        return LoneJoint(bodies, np.ones(len(bodies)), np.zeros((len(bodies), 3)), rotor)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axis, anchor = data.xaxis[joint.id], data.xanchor[joint.id]
     arms = np.cross(axis, data.xipos[bodies] - anchor)
     along = np.einsum("bij,i->bj", data.ximat[bodies].reshape(-1, 3, 3), axis)
-    return LoneJoint(bodies, (arms**2).sum(axis=1), along**2, rotors[name])
+    return LoneJoint(bodies, (arms**2).sum(axis=1), along**2, rotor)

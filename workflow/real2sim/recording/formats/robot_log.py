@@ -314,7 +314,8 @@ _BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times 
 _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
 _MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
-_MISSED = 3  # periods of a joint's messages without one, beyond which it is not known between them
+_MISSED = 3  # usual intervals of a joint's messages without one, beyond which it is not known between them
+_LONGEST_S = 0.2  # and no longer than this: what an ingest bridges by default (ingest.max_gap_s)
 
 
 def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
@@ -828,18 +829,35 @@ def _split_joints(
         series[name] = time_s, values[first]
     _check_positions(path, {name: values for name, (_, values) in series.items()})
     rarest = min(series, key=lambda name: len(series[name][0]))
+    if len(series[rarest][0]) < 2:
+        found, expected = (
+            f"a single message with {rarest}",
+            "messages throughout the log, as of the other joints",
+        )
+        remedy = "let its publisher repeat the position, or take the log away: a trial may have none"
+        raise InputError(path, "topic /joint_states", found, expected, remedy, "joint_missing")
     at = series[rarest][0]
     joints = {name: _interpolated(*given, at) for name, given in series.items()}
     known = np.all([np.isfinite(values[:, 0]) for values in joints.values()], axis=0)
+    shared = [(time_s[0], time_s[-1]) for time_s, _ in series.values()]
+    within = (at >= max(first for first, _ in shared)) & (at <= min(last for _, last in shared))
+    left = int((within & ~known).sum())
     message, action = "the arm's joints come in different messages", f"joined at the times of {rarest}"
-    findings.append(Finding("joint_split", "info", path.name, "/joint_states", message, action))
+    if left:
+        message += f"; at {left} of {int(within.sum())} times another joint has none near by"
+        action += ", these left out"
+    severity = "warning" if left else "info"
+    findings.append(Finding("joint_split", severity, path.name, "/joint_states", message, action))
     groups.clear()
     return at[known], {name: values[known] for name, values in joints.items()}
 
 
 def _interpolated(time_s: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Position and velocity (n, 2) of a joint at other times (m,) [s]; NaN where messages of it are missing."""
-    longest = _MISSED * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    # in intervals up to the usual one lies half of the time: of bursts, that is the interval to the next burst
+    intervals = np.sort(np.diff(time_s))
+    usual = intervals[np.searchsorted(np.cumsum(intervals), intervals.sum() / 2)]
+    longest = min(_MISSED * float(usual), _LONGEST_S)
     # a joint without velocities has positions all the same
     columns = [signals.resample(time_s, values[:, k], at, longest) for k in (0, 1)]
     return np.column_stack(columns)

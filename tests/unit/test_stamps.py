@@ -17,19 +17,10 @@ from tests.fuzz import seeds
 SECOND = 10**9
 
 
-def write_log(path, log, *, delays=None, stamps=None):
-    """Write a log whose topics arrive late: ``delays`` [s] and a change of ``stamps`` (n,) [ns] by topic."""
+def write_messages(path, messages):
+    """Write messages (log time [ns], topic, payload) in the order of time."""
     from mcap.writer import Writer
 
-    messages = []
-    for topic, (logged, payloads) in robot_log._messages(log).items():
-        delay = np.broadcast_to((delays or {}).get(topic, 0.0), len(logged))
-        change = (stamps or {}).get(topic, lambda stamp: stamp)
-        for time, payload, late, stamp in zip(logged, payloads, delay, change(logged), strict=True):
-            if topic != "/sync":
-                seconds, rest = divmod(int(stamp), SECOND)
-                payload = payload[:4] + np.array([seconds, rest], "<u4").tobytes() + payload[12:]
-            messages.append((int(time) + round(late * SECOND), topic, payload))
     with path.open("wb") as stream:
         writer, channels = Writer(stream), {}
         writer.start(profile="ros2", library="test")
@@ -40,6 +31,20 @@ def write_log(path, log, *, delays=None, stamps=None):
                 channels[topic] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[topic], at, payload, at)
         writer.finish()
+
+
+def write_log(path, log, *, delays=None, stamps=None):
+    """Write a log whose topics arrive late: ``delays`` [s] and a change of ``stamps`` (n,) [ns] by topic."""
+    messages = []
+    for topic, (logged, payloads) in robot_log._messages(log).items():
+        delay = np.broadcast_to((delays or {}).get(topic, 0.0), len(logged))
+        change = (stamps or {}).get(topic, lambda stamp: stamp)
+        for time, payload, late, stamp in zip(logged, payloads, delay, change(logged), strict=True):
+            if topic != "/sync":
+                seconds, rest = divmod(int(stamp), SECOND)
+                payload = payload[:4] + np.array([seconds, rest], "<u4").tobytes() + payload[12:]
+            messages.append((int(time) + round(late * SECOND), topic, payload))
+    write_messages(path, messages)
 
 
 def lasting_log(n=600):
@@ -172,8 +177,6 @@ def write_split_log(path, log, *, late, lost=None, rare=""):
 
     ``lost``: joint without messages between two times [s]; ``rare``: joint with every other message alone.
     """
-    from mcap.writer import Writer
-
     messages = [
         (int(at), "/odom", payload)
         for at, payload in zip(*robot_log._messages(replace(log, sync_s=None))["/odom"], strict=True)
@@ -190,16 +193,7 @@ def write_split_log(path, log, *, late, lost=None, rare=""):
         messages += [
             (int(at), "/joint_states", payload) for at, payload in zip(stamps, payloads, strict=True)
         ]
-    with path.open("wb") as stream:
-        writer, channels = Writer(stream), {}
-        writer.start(profile="ros2", library="test")
-        for at, topic, payload in sorted(messages):
-            if topic not in channels:
-                kind = robot_log.TOPICS[topic]
-                schema = writer.register_schema(kind, "ros2msg", robot_log._schema_text(kind).encode())
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
-            writer.add_message(channels[topic], at, payload, at)
-        writer.finish()
+    write_messages(path, messages)
 
 
 def test_joints_that_each_controller_publishes_alone_are_joined(tmp_path, log):

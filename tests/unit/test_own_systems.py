@@ -203,7 +203,7 @@ def test_descriptions_that_contradict_their_model_are_refused(tmp_path, changed,
             "drive_gap",
             "from 2 s",
         ),
-        (lambda t: t[:60], "too_short", "60 samples (0.3 s)"),
+        (lambda t: t[:50], "too_short", "50 samples (0.25 s)"),
         (lambda t: t[:7], "too_short", "7 samples"),
         (lambda t: t[::-1], "time_order", "times that increase"),
         (lambda t: t.assign(time_s=t.time_s.where(t.time_s != 3)), "time_uneven", "1 of them without a time"),
@@ -213,7 +213,7 @@ def test_recordings_that_cannot_drive_a_system_are_refused(tmp_path, change, cod
     own = system(tmp_path, FORCED.format(""), by="force")
     table = pd.DataFrame({"time_s": T, "push_Nm": np.sin(T), "swing_rad": np.sin(T)})
     with pytest.raises(InputError) as refused:
-        DescribedTrial(own, r2s.Recording.from_table(own, change(table)), None, DESCRIBED)
+        DescribedTrial(own, r2s.Recording.from_table(own, change(table)), None, DESCRIBED).evidence()
     assert refused.value.code == code
     assert told in str(refused.value)
 

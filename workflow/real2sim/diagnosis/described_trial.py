@@ -86,18 +86,9 @@ class DescribedTrial:
         self._position, self._rate_of = self._paths()
 
     def _check_drive(self) -> None:
-        """Refuse a recording shorter than its start, and gaps in what drives it that no line fills within its band."""
-        recording, least = self._recording, self._start_window
-        if len(recording.time_s) < 2 * least:
-            raise InputError(
-                recording.name,
-                "",
-                f"{len(recording.time_s)} samples ({len(recording.time_s) / self._rate:.3g} s)",
-                f"{2 * least} samples and more, half of which tell where it starts",
-                "Record longer.",
-                "too_short",
-            )
-        most = self._rate / (2 * self._system.band_hz)
+        """Refuse gaps in what drives a recording that no line fills within its band."""
+        recording = self._recording
+        most = self._rate / (2 * self._cutoff)
         for column in self._system.drive.columns.values():
             for gap in signals.segments(~np.isfinite(recording.columns[column])):
                 if gap.stop - gap.start > most:
@@ -105,10 +96,23 @@ class DescribedTrial:
                         recording.name,
                         f"column {column}, from {recording.time_s[gap.start]:.4g} s",
                         f"no number for {(gap.stop - gap.start) / self._rate:.3g} s in what drives the simulation",
-                        f"gaps of no more than half a period of band_hz, {most / self._rate:.3g} s",
+                        f"gaps of no more than half a period of {self._cutoff:.3g} Hz, {most / self._rate:.3g} s",
                         "Cut the recording there, or record it again.",
                         "drive_gap",
                     )
+
+    def _check_length(self) -> None:
+        """Refuse a recording that begins in motion and ends before that tells where it began."""
+        samples, least = len(self._recording.time_s), self._start_window
+        if samples < least:
+            raise InputError(
+                self._recording.name,
+                "",
+                f"{samples} samples ({samples / self._rate:.3g} s)",
+                f"{least} samples and more, which tell where a recording starts that begins in motion",
+                "Record longer, or begin with half a second of standing still.",
+                "too_short",
+            )
 
     @property
     def _start_window(self) -> int:
@@ -298,6 +302,7 @@ class DescribedTrial:
 
     def _start_weights(self) -> np.ndarray:
         """Weights (2, n) of the first samples that give position and rate at the start, by a cubic in time."""
+        self._check_length()
         n = self._start_window
         basis = np.vander(np.arange(n) / self._rate, 4, increasing=True)
         return np.linalg.pinv(basis)[:2]

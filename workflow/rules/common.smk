@@ -39,7 +39,7 @@ from real2sim.verification.paper_gap.plan import CAUSES, STUDY_ROBOT
 from real2sim.verification.cohort.plan import planned_files, planned_subjects, read_settings
 from real2sim.verification.suite.plan import case_names, expected_time, left_out, shards
 from real2sim.provenance import CODE, CODE_FILE, fingerprint
-from real2sim.recording.subjects import discover, require_dynamic, require_operating_point
+from real2sim.recording.subjects import discover, require_dynamic, require_operating_point, require_pair
 from real2sim.system.model_files import model_files
 
 # those that later stages ask for come first: Snakemake looks for who makes a file from the front
@@ -301,21 +301,8 @@ def everyone_can_be_calibrated(wildcards):
 
 def diagnosed_trials(wildcards):
     """pose.parquet of the dynamic trials of a person who has the two that a diagnosis needs."""
-    poses = poses_of(wildcards.subject, "dynamic")
-    if len(poses) < 2:
-        person = PEOPLE[wildcards.subject]
-        there = ", ".join(person.trials_of("dynamic")) or "no dynamic trial"
-        left_out = [f"{name}: {why}" for name, why in person.exclude.items() if name.startswith("dynamic")]
-        error = InputError(
-            person.folder,
-            "",
-            there + (f" (excluded: {'; '.join(left_out)})" if left_out else ""),
-            "two dynamic trials for a diagnosis: one to fit, one to judge on",
-            "Add the marker and markerless export of another regime, dynamic_<number> (docs/diagnosis.md).",
-            "trial_missing",
-        )
-        raise WorkflowError(f"\n{error}")
-    return poses
+    asked_for(lambda: require_pair(PEOPLE[wildcards.subject]))
+    return poses_of(wildcards.subject, "dynamic")
 
 
 def fits_of(subjects):

@@ -478,10 +478,10 @@ def _robot(
     if trial.log is None:
         trial.note("no_robot_log", "info", trial.tsv, "", "no robot log", "robot columns empty")
         return {name: np.full(len(clock), np.nan) for name in names}, None, {"status": "no robot log"}
-    if log is None:
-        log = read_log(trial.log, trial.settings["robot_log"]["stamps"])
-    trial.findings.extend(log.findings)
     gap = trial.settings["max_gap_s"]
+    if log is None:
+        log = read_log(trial.log, trial.settings["robot_log"]["stamps"], gap)
+    trial.findings.extend(log.findings)
     _check_log(trial.log, log, trial.settings["robot_log"]["least_s"], gap)
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)

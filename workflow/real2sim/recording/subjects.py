@@ -334,14 +334,27 @@ def require_dynamic(person: Subject) -> None:
     """Raise InputError where a person has no dynamic trial, to which stiffness and damping are fitted."""
     if person.trials_of("dynamic"):
         return
-    left_out = [f"{name}: {why}" for name, why in person.exclude.items() if name.startswith("dynamic")]
-    found = "no dynamic trial" + (f" (excluded: {'; '.join(left_out)})" if left_out else "")
     remedy = "add dynamic_1.tsv and dynamic_1.mot"
     if person.cohort == "calibration":
         remedy += f", or write cohort: validation in {SUBJECT_FILE}"
-    raise InputError(
-        person.folder, "", found, "one at least, for stiffness and damping", remedy, "trial_missing"
-    )
+    raise _too_few_dynamic(person, "one at least, for stiffness and damping", remedy)
+
+
+def require_pair(person: Subject) -> None:
+    """Raise InputError where a person has not the two dynamic trials that a diagnosis needs."""
+    if len(person.trials_of("dynamic")) < 2:
+        expected = "two dynamic trials for a diagnosis: one to fit, one to judge on"
+        remedy = (
+            "add the marker and markerless export of another regime, dynamic_<number> (docs/diagnosis.md)"
+        )
+        raise _too_few_dynamic(person, expected, remedy)
+
+
+def _too_few_dynamic(person: Subject, expected: str, remedy: str) -> InputError:
+    left_out = [f"{name}: {why}" for name, why in person.exclude.items() if name.startswith("dynamic")]
+    found = ", ".join(person.trials_of("dynamic")) or "no dynamic trial"
+    found += f" (excluded: {'; '.join(left_out)})" if left_out else ""
+    return InputError(person.folder, "", found, expected, remedy, "trial_missing")
 
 
 def _require(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -68,14 +69,8 @@ class Recording:
         wanted = required_columns(system)
         missing = [column for column in (TIME, *wanted) if column not in table.columns]
         if missing:
-            raise InputError(
-                source,
-                f"column {', '.join(missing)}",
-                f"columns {', '.join(map(str, table.columns[:50]))}",
-                f"the columns of system {system.name}: {', '.join((TIME, *wanted))}",
-                "Rename or add the columns; units stand in the names.",
-                "column_missing",
-            )
+            remedy = "Rename or add the columns; units stand in the names."
+            raise _columns_missing(source, missing, table.columns, system, remedy)
         columns = {c: _numbers(table[c], source) for c in (TIME, *wanted)}
         time_s = columns.pop(TIME)
         _check_time(time_s, source)
@@ -193,14 +188,22 @@ def check_columns(system: System, recording: Recording) -> None:
         )
     missing = [column for column in required_columns(system) if column not in recording.columns]
     if missing:
-        raise InputError(
-            recording.name,
-            f"column {', '.join(missing)}",
-            f"columns {', '.join(recording.columns)}",
-            f"the columns of system {system.name}: {', '.join(required_columns(system))}",
-            "Read it with this system: Recording.read(system, path).",
-            "column_missing",
-        )
+        remedy = "Read it with this system: Recording.read(system, path)."
+        raise _columns_missing(recording.name, missing, (TIME, *recording.columns), system, remedy)
+
+
+def _columns_missing(
+    source: Path | str, missing: Iterable[str], there: Iterable[str], system: System, remedy: str
+) -> InputError:
+    """Return the error for columns that a system names and a table has not."""
+    return InputError(
+        source,
+        f"column {', '.join(missing)}",
+        f"columns {', '.join(map(str, islice(there, 50)))}",
+        f"the columns of system {system.name}: {', '.join((TIME, *required_columns(system)))}",
+        remedy,
+        "column_missing",
+    )
 
 
 def log_columns(system: System) -> dict[str, str]:

@@ -6,6 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from real2sim.errors import InputError
 from real2sim.recording.formats import c3d, mcap_file, opensim, qualisys, qualisys_mat, robot_log, trc
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
@@ -128,15 +130,17 @@ def read_markerless(
     return recording
 
 
-def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
-    """Read a robot log; ``stamps`` is the slice ``ingest.robot_log.stamps``, by default that of an empty configuration.
+def read_log(
+    path: Path, stamps: IngestRobotLogStampsSettings | None = None, max_gap_s: float = np.inf
+) -> RobotLog:
+    """Read a robot log; ``stamps`` and ``max_gap_s`` as of `robot_log.read_log`.
 
     Raises InputError where the file is no MCAP or lacks the robot's topics.
     """
     path = Path(path)
     findings: list[Finding] = []
     _detected(path, ("mcap",), "a robot log", findings, _REMEDY_LOG)
-    log = robot_log.read_log(path, stamps)
+    log = robot_log.read_log(path, stamps, max_gap_s)
     log.findings[:0] = findings
     return log
 

@@ -314,16 +314,17 @@ _BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times 
 _LAST_NS = 1 << 62  # the year 2116
 _UNIT = 0.01  # a quaternion's length may be off by this
 _MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
-_MISSED = 3  # usual intervals of a joint's messages without one, beyond which it is not known between them
-_LONGEST_S = 0.2  # and no longer than this: what an ingest bridges by default (ingest.max_gap_s)
 
 
-def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> RobotLog:
+def read_log(
+    path: Path, stamps: IngestRobotLogStampsSettings | None = None, max_gap_s: float = np.inf
+) -> RobotLog:
     """Read a robot log; times [s] since its first message, by the stamps of the messages where they have any.
 
-    ``stamps`` is the slice ``ingest.robot_log.stamps`` of the configuration, by default that of an empty one. Memory
-    is bounded by the numbers of the four topics, not by the file. Raises InputError where the file is truncated, a
-    required topic is missing, or a message cannot be decoded as what its channel says it is.
+    ``stamps`` is the slice ``ingest.robot_log.stamps`` of the configuration, by default that of an empty one. Joints in
+    messages of their own are not interpolated over more than ``max_gap_s`` (``ingest.max_gap_s``). Memory is bounded by
+    the numbers of the four topics, not by the file. Raises InputError where the file is truncated, a required topic is
+    missing, or a message cannot be decoded as what its channel says it is.
     """
     path = Path(path)
     contents = Contents()
@@ -343,7 +344,7 @@ def read_log(path: Path, stamps: IngestRobotLogStampsSettings | None = None) -> 
     base_time, table = topics.pop("/odom").table(start_ns)
     base = dict(zip(BASE_COLUMNS, table.T, strict=True))
     _unwrap(base["yaw"])
-    joint_time, joints = _joints(path, start_ns, topics.pop("/joint_states"), findings)
+    joint_time, joints = _joints(path, start_ns, topics.pop("/joint_states"), findings, max_gap_s)
     wrench_time = wrench = sync = None
     if "/interface/wrench" in topics:
         forces = topics["/interface/wrench"].table(start_ns)
@@ -776,13 +777,13 @@ def _known_forces(
 
 
 def _joints(
-    path: Path, start_ns: int, topic: _Topic, findings: list[Finding]
+    path: Path, start_ns: int, topic: _Topic, findings: list[Finding], max_gap_s: float
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Position and velocity of each joint that every message with the arm's joints carries."""
     groups = topic.groups
     with_arm = _with_arm(groups)
     if not with_arm:
-        return _split_joints(path, start_ns, topic, findings)
+        return _split_joints(path, start_ns, topic, findings, max_gap_s)
     if len(with_arm) < len(groups):
         left = sum(len(g.index) for g in groups) - sum(len(g.index) for g in with_arm)
         message = f"{left} messages without the arm's joints"
@@ -808,11 +809,12 @@ def _joints(
 
 
 def _split_joints(
-    path: Path, start_ns: int, topic: _Topic, findings: list[Finding]
+    path: Path, start_ns: int, topic: _Topic, findings: list[Finding], max_gap_s: float
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Position and velocity of the arm's joints that come in different messages, at the times of the rarest joint.
 
-    As where each controller publishes its own joint. A time at which another joint has no message near by is left out.
+    As where each controller publishes its own joint. Times in a gap of more than ``max_gap_s`` of another joint are
+    left out.
     """
     groups = topic.groups
     if not set(ARM_JOINTS) <= {name for g in groups for name in g.names}:
@@ -837,30 +839,23 @@ def _split_joints(
         remedy = "let its publisher repeat the position, or take the log away: a trial may have none"
         raise InputError(path, "topic /joint_states", found, expected, remedy, "joint_missing")
     at = series[rarest][0]
-    joints = {name: _interpolated(*given, at) for name, given in series.items()}
+    # a joint without velocities has positions all the same
+    joints = {
+        name: np.column_stack([signals.resample(time_s, column, at, max_gap_s) for column in values.T])
+        for name, (time_s, values) in series.items()
+    }
     known = np.all([np.isfinite(values[:, 0]) for values in joints.values()], axis=0)
     shared = [(time_s[0], time_s[-1]) for time_s, _ in series.values()]
     within = (at >= max(first for first, _ in shared)) & (at <= min(last for _, last in shared))
     left = int((within & ~known).sum())
     message, action = "the arm's joints come in different messages", f"joined at the times of {rarest}"
     if left:
-        message += f"; at {left} of {int(within.sum())} times another joint has none near by"
+        message += f"; at {left} of {int(within.sum())} times another joint has none within {max_gap_s:g} s"
         action += ", these left out"
     severity = "warning" if left else "info"
     findings.append(Finding("joint_split", severity, path.name, "/joint_states", message, action))
     groups.clear()
     return at[known], {name: values[known] for name, values in joints.items()}
-
-
-def _interpolated(time_s: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Position and velocity (n, 2) of a joint at other times (m,) [s]; NaN where messages of it are missing."""
-    # in intervals up to the usual one lies half of the time: of bursts, that is the interval to the next burst
-    intervals = np.sort(np.diff(time_s))
-    usual = intervals[np.searchsorted(np.cumsum(intervals), intervals.sum() / 2)]
-    longest = min(_MISSED * float(usual), _LONGEST_S)
-    # a joint without velocities has positions all the same
-    columns = [signals.resample(time_s, values[:, k], at, longest) for k in (0, 1)]
-    return np.column_stack(columns)
 
 
 def _check_names(path: Path, groups: list[Group]) -> None:

@@ -73,7 +73,9 @@ def raw_trial(
         name,
         replace(recording, positions=world, findings=[], events=[], residual_m={}),
         markerless if isinstance(markerless, CoordinateRecording) else None,
-        read_log(files.log, settings["robot_log"]["stamps"]) if files.log is not None else None,
+        read_log(files.log, settings["robot_log"]["stamps"], settings["max_gap_s"])
+        if files.log is not None
+        else None,
     )
 
 

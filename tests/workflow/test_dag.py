@@ -220,9 +220,9 @@ def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
             "nothing at resources/robot/none.xml",
         ),
         (
-            {"paths": {"published": "resources/publsihed"}},
+            {"paths": {"published": "resources/elsewhere"}},
             "paths.published",
-            "nothing at resources/publsihed",
+            "nothing at resources/elsewhere",
         ),
         # a disk that is not mounted must not end in the phantom's study
         ({"paths": {"subjects": "/mnt/lab/people"}}, "paths.subjects", "nothing at /mnt/lab/people"),

@@ -12,7 +12,7 @@ import pytest
 from real2sim.diagnosis import trials as trials_module
 from real2sim.diagnosis.attribute import Attribution, finished
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision
-from real2sim.diagnosis.intervals import parameter_verdicts
+from real2sim.diagnosis.intervals import parameter_verdicts, widened
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Trials, conclude, is_shown_by_held_out_alone, search_both_ways
@@ -187,7 +187,7 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
 
 
 def test_strap_parameters_are_called_what_they_are(monkeypatch):
-    """Tight; wide; at a bound; known to nothing; moved by noise. What the fit leaves beyond noise widens them."""
+    """Tight; wide; at a bound; known to nothing; moved by noise. What is beyond noise by the curvature widens them."""
     sd, bias = np.full(13, 0.05), np.zeros(13)
     bias[4] = 0.2
     monkeypatch.setattr(
@@ -203,7 +203,9 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
     trial = SimpleNamespace(samples=1000, samples_by_sensor=(1000,), noise_by_sensor=(1000.0,))
     pair = Pair(trial, trial, system)
-    rows = parameter_verdicts(pair, fit, 1000, CONFIG)
+    monkeypatch.setattr("real2sim.diagnosis.intervals.scatter", lambda pair, fit, options: np.ones(13))
+    wider = widened(pair, fit, 1000, CONFIG["diagnosis"])
+    rows = parameter_verdicts(pair, fit, wider, CONFIG)
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
     assert [row.verdict for row in rows[:5]] == verdicts
     assert rows[4].bias_ln == pytest.approx(0.2)
@@ -215,16 +217,17 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     assert rows[0].ci95 == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
     assert rows[2].ci95[1] == pytest.approx(np.exp(upper[2]))
     worse = replace(fit, chi2=(9000.0, 900.0))
-    again = parameter_verdicts(pair, worse, 1000, CONFIG)
+    again = parameter_verdicts(pair, fit, widened(pair, worse, 1000, CONFIG["diagnosis"]), CONFIG)
     assert again[0].verdict == "weak", "three times as wide"
     # a log that is quieter than its floor makes up for none of what the markers leave
     trial = SimpleNamespace(samples=1000, samples_by_sensor=(500, 500), noise_by_sensor=(500.0, 10.0))
     loud = replace(fit, chi2=(1000.0, 900.0), sensors=((990.0, 10.0), (890.0, 10.0)))
-    told = parameter_verdicts(Pair(trial, trial, system), loud, 1000, CONFIG)
+    wide = widened(Pair(trial, trial, system), loud, 1000, CONFIG["diagnosis"])
+    told = parameter_verdicts(pair, fit, wide, CONFIG)
     assert np.diff(np.log(told[0].ci95)) > 1.15 * np.diff(np.log(rows[0].ci95))
     # an SD that cannot be computed says nothing, and least of all that it is small
     sd[0] = np.nan
-    lost = parameter_verdicts(pair, fit, 1000, CONFIG)
+    lost = parameter_verdicts(pair, fit, wider, CONFIG)
     assert [row.verdict for row in lost[:5]] == ["not determined", *verdicts[1:]]
     assert lost[0].ci95 == pytest.approx(np.exp([lower[0], upper[0]]))
 

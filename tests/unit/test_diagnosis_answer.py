@@ -102,9 +102,15 @@ def stubs(monkeypatch):
     monkeypatch.setattr(answers._Account, "_parameters", lambda account, named: {})
     monkeypatch.setattr(answers._Account, "_closed", lambda account, path: {"gap_closed": None})
     monkeypatch.setattr(answers, "could_have_shown", lambda pair, fit, options: [])
+    monkeypatch.setattr(answers, "widened", lambda pair, h, samples, options: np.ones(len(h.z)))
     monkeypatch.setattr(answers, "with_others", lambda decision, machines, options, named: decision)
     monkeypatch.setattr(answers, "describe_machines", lambda machines, options: None)
     return monkeypatch
+
+
+def unit_intervals(pair, hypothesis, wider, options):
+    """An interval from 0 to 1 for every parameter of each effect."""
+    return [[(0.0, 1.0)] * len(one.effect.parameters) for one in hypothesis.effects]
 
 
 def with_likelier_machine(own, own_trials, other, other_trials):
@@ -193,7 +199,7 @@ def test_a_cause_under_the_other_initial_state_tells_the_cost_of_the_held_out_tr
     stubs.setattr(answers, "_checked", lambda *given: (one, None, None))
     stubs.setattr(answers, "conclude", lambda found, options: another)
     stubs.setattr(answers, "share_of_other", lambda costs, c: 0.4)
-    stubs.setattr(answers, "effect_intervals", lambda pair, h, one: [(0.0, 1.0)] * len(one.effect.parameters))
+    stubs.setattr(answers, "effect_intervals", unit_intervals)
     causes = answers.answer(Outcome(found, one, other, False), CONFIG).causes
     j = {cause.effect: cause.j_held_out for cause in causes}
     assert j == dict.fromkeys(("coulomb", "tilt"), PATHS["study"][order[1]])
@@ -212,7 +218,7 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
     stubs.setattr(answers, "_checked", lambda *given: (own, misfit, None))
     stubs.setattr(answers, "conclude", lambda found, options: decision_of("none", none=1.0))
     stubs.setattr(answers, "share_of_other", lambda costs, c: 0.25)
-    stubs.setattr(answers, "effect_intervals", lambda pair, h, one: [(0.0, 1.0)] * len(one.effect.parameters))
+    stubs.setattr(answers, "effect_intervals", unit_intervals)
     considered = answers.answer(Outcome(found, own, other, False), CONFIG).considered
     assert [row["effects"] for row in considered] == [["coulomb"], []]
     assert [row["probability"] for row in considered] == pytest.approx([0.75 * 0.6, 0.75 * 0.3])
@@ -221,9 +227,9 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
 def causes_of(stubs, hypotheses, sets, chosen=0, report=None, **probabilities):
     """Return the causes of sets with these probabilities; intervals hold the searched numbers of each effect."""
 
-    def intervals(pair, hypothesis, one):
-        x = next(x for p, x in zip(hypothesis.effects, hypothesis.split(), strict=True) if p is one)
-        return [(v, v) for v in one.values(x[None])[0]]
+    def intervals(pair, hypothesis, wider, options):
+        each = zip(hypothesis.effects, hypothesis.split(), strict=True)
+        return [[(v, v) for v in one.values(x[None])[0]] for one, x in each]
 
     stubs.setattr(answers, "effect_intervals", intervals)
     found = found_of(pair_of("study", *IN_ORDER), plain(90_000.0, 90_000.0), hypotheses=hypotheses)

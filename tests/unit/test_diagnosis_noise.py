@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from real2sim.configuration import validated
+from real2sim.diagnosis.sensors import by_sensor
 from real2sim.geometry import AXES
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import Bands, drawn_together, noise_colour, rest_uncertainty, robot_noise
@@ -96,6 +97,7 @@ class _Logged(StrapEvidence):
     """Evidence of 12 s with white noise of 1 mm and mrad in all channels, of which nothing is simulated."""
 
     given: np.ndarray | None = None
+    driven: np.ndarray | None = None
 
     def replay(self, effects, nsim, *, coarse=False):
         return None
@@ -104,15 +106,17 @@ class _Logged(StrapEvidence):
         pass
 
     def _draw(self, seed, i):
-        noise = 1e-3 * np.random.default_rng([seed, i]).standard_normal((len(self.robot), 2, 3))
-        return None, None, noise
+        rng = np.random.default_rng([seed, i])
+        noise = 1e-3 * rng.standard_normal((len(self.robot), 2, 3))
+        return None, None, noise, 1e-3 * rng.standard_normal((3, 6))
 
     def _misjudged(self, markers):
         return np.zeros((len(markers), 6))
 
     def _elsewhere(self, parameters):
         none = np.zeros((0, len(self.robot), 12))
-        return Elsewheres(self.given, np.zeros((6, len(self.robot), 12)), none, none)
+        starts, pelvis = (np.zeros((k, len(self.robot), 12)) for k in (6, 18))
+        return Elsewheres(self.given, starts, pelvis if self.driven is None else self.driven, none, none)
 
     def _apart(self, replay, parameters, draws, markers, logged, x=()):
         return -np.concatenate([markers.reshape(draws, -1, 6), logged], axis=2)
@@ -123,8 +127,12 @@ def _logged(
     offset_sd_s: float = 0.0,
     rests: np.ndarray | None = None,
     interface: np.ndarray | None = None,
+    driven: np.ndarray | None = None,
 ) -> StrapEvidence:
-    """Such evidence with a log (n, 6), once its noise is simulated; ``rests`` (k, n, 12) as of `Elsewheres`."""
+    """Such evidence with a log (n, 6), once its noise is simulated.
+
+    ``rests`` (k, n, 12) and ``driven`` (18, n, 12) are those of `Elsewheres`, the latter for errors of 1 mm and mrad.
+    """
     n = len(log)
     seen = np.zeros((n, 2, 3)) if interface is None else interface
     trial = SimpleNamespace(time_s=np.arange(n) / 100, interface=seen, usable=np.ones(n, bool))
@@ -135,7 +143,7 @@ def _logged(
     )
     given = np.zeros((0, n, 12)) if rests is None else rests
     setup = SimpleNamespace(settings=validated({}, "config", Path("defaults")))
-    return _Logged(recorded, levels, None, setup, given=given).with_noise(np.ones(12), 31, 1)
+    return _Logged(recorded, levels, None, setup, given=given, driven=driven).with_noise(np.ones(12), 31, 1)
 
 
 def _sway(n: int = 1200) -> np.ndarray:
@@ -176,10 +184,23 @@ def test_a_constant_that_nobody_knows_costs_what_one_number_does():
     assert constant == pytest.approx(1.0, abs=0.1)
     assert wave == pytest.approx((sure.whiten(slow[1:]) ** 2).sum(), rel=0.05)
     # drawn through an effect, what nobody knows counts as it does here
-    left = seen.noise_through([], np.ones(12), [], 31, 1)
+    left = by_sensor(seen.noise_of([], np.ones(12), [], 31, 1), seen.sensors.values())
     assert left.sum(axis=1).mean() == pytest.approx(seen.samples, rel=0.03)
     assert left.mean(axis=0) == pytest.approx(seen.samples / 2, rel=0.05), "of markers and of the log"
     assert sum(seen.noise_by_sensor) == pytest.approx(seen.samples, rel=0.03)
+
+
+def test_a_pelvis_beside_its_path_counts_as_few_numbers_however_much_it_moves():
+    """A pose that is wrong by one SD at the start lets the robot go: 20 mm that ring down are hundreds of residuals."""
+    time_s = np.arange(1200) / 100
+    ringing = np.zeros((18, 1200, 12))
+    ringing[6, :, 0] = 20.0 * np.exp(-time_s) * np.cos(2 * np.pi * 2 * time_s)
+    seen, sure = _logged(_sway(), driven=ringing), _logged(_sway())
+    by_one_sd = 1e-3 * ringing[6:7]
+    assert (sure.whiten(by_one_sd) ** 2).sum() > 1000
+    assert (seen.whiten(by_one_sd) ** 2).sum() < 2
+    # the same on another channel is no such error
+    assert (seen.whiten(np.roll(by_one_sd, 1, axis=2)) ** 2).sum() > 1000
 
 
 def test_a_marker_that_is_lost_for_a_while_leaves_no_more_than_noise():

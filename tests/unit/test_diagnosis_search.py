@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from threading import Lock
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -155,10 +156,11 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
     class Trial:
         samples, samples_by_sensor, noise_by_sensor, threads = 2880, (2880,), (2880.0,), 1
+        sensors: ClassVar = {"markers": 1}
 
-        def noise_through(self, effects, parameters, x, draws, seed):
+        def noise_of(self, effects, parameters, x, draws, seed):
             assert [p.key for p in effects] == [friction.key]
-            return np.linspace(5000.0, 7000.0, draws)[:, None]
+            return np.sqrt(np.linspace(5000.0, 7000.0, draws))[:, None]
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))

@@ -177,7 +177,7 @@ def test_a_cubic_spring_is_measured_without_its_name(stiff):
     pair, search, plain = stiff
     measured = measure(pair, plain, plain.base, search, FREE, SEARCH, lambda text: None)
     laws = measured.laws
-    about = describe(pair, laws[0], laws[1:], measured.library)
+    about = describe(pair, laws[0], laws[1:], measured.library, CONFIG)
     assert (about["stage"], about["kind"]) == ("interface", "elastic")
     assert about["axes"] == [pair.system.axes[0].name]
     assert about["depends_on"] == [f"q_{pair.system.axes[0].name}"]
@@ -204,7 +204,7 @@ def test_a_law_is_known_the_less_the_more_it_leaves(stiff):
     width = []
     for chi2 in ((n, 0.5 * m), (n, 9.0 * m), (4.0 * n, m)):
         left = replace(law, hypothesis=replace(law.hypothesis, chi2=chi2))
-        curve = describe(pair, left, [], Library(pair, FREE["band_share"]))["curve"]
+        curve = describe(pair, left, [], Library(pair, FREE["band_share"]), CONFIG)["curve"]
         width.append(np.array(curve["high"]) - curve["low"])
     np.testing.assert_allclose(width[1], 3 * width[0], rtol=1e-9)
     np.testing.assert_allclose(width[2], 2 * width[0], rtol=1e-9)

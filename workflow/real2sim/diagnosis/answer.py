@@ -22,7 +22,7 @@ from real2sim.diagnosis.decide import (
 )
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law, Measured, measure
-from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts
+from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts, widened
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.layers import layered
 from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
@@ -381,6 +381,7 @@ class _Account:
         self._best = self._named if self._law is None else self._law.hypothesis
         shown = found.pair.shown
         self._plain_path = simulate(self._before_pair.shown, self._before_pair, self._before)
+        self._wider: dict[tuple[str, bytes], np.ndarray] = {}
         self._floor_draws = shown.floor_draws()
         self._floor = float(self._floor_draws.mean())
 
@@ -502,8 +503,7 @@ class _Account:
 
     def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
         system = self._pair.system
-        samples = self._attribution.samples[0]
-        known = parameter_verdicts(self._pair, self._named, samples, self._settings)
+        known = parameter_verdicts(self._pair, self._named, self._widened(self._named), self._settings)
         # another machine may come with other parameters
         base = dict(zip(system.parameter_names, system.values(self._attribution.plain.base), strict=True))
         other = self._before_pair.system
@@ -541,6 +541,14 @@ class _Account:
                 out.append(self._cause(best[name], name, detailed=detailed, told=told))
         return out
 
+    def _widened(self, hypothesis: Hypothesis) -> np.ndarray:
+        """As `widened`, once per hypothesis."""
+        key = hypothesis.key, hypothesis.z.tobytes()
+        if key not in self._wider:
+            samples, options = self._attribution.samples[0], self._settings["diagnosis"]
+            self._wider[key] = widened(self._pair, hypothesis, samples, options)
+        return self._wider[key]
+
     def _cause(self, hypothesis: Hypothesis, name: str, *, detailed: bool, told: bool) -> Cause:
         pair, members = self._pair, _members(hypothesis, name)
         first = members[0][0].effect
@@ -559,9 +567,11 @@ class _Account:
         path = simulate(self._held_out, pair, hypothesis)
         shown_path = path if pair.shown is self._held_out else simulate(pair.shown, pair, hypothesis)
         if told:
+            options = self._settings["diagnosis"]
+            intervals = effect_intervals(pair, hypothesis, self._widened(hypothesis), options)
+            of = {placed.key: own for placed, own in zip(hypothesis.effects, intervals, strict=True)}
             for placed, parameters in members:
-                intervals = effect_intervals(pair, hypothesis, placed)
-                for entry, ends in zip(parameters.values(), intervals, strict=True):
+                for entry, ends in zip(parameters.values(), of[placed.key], strict=True):
                     entry["ci95"] = list(ends)
         j = float(self._held_out.j(path[None])[0])
         return replace(cause, j_held_out=j, closed=self._closed(shown_path))
@@ -613,7 +623,8 @@ class _Account:
         pair, law, nearest = self._pair, self._law, _nearest(self._attribution)
         closed = self._closed(simulate(pair.shown, pair, law.hypothesis))
         others = [other for other in self._measured.laws if other is not law]
-        about = describe(pair, law, others, self._measured.library)
+        options = self._settings["diagnosis"]
+        about = describe(pair, law, others, self._measured.library, options)
         about |= closed | {"chi2": list(law.hypothesis.chi2), "chi2_closed": self._share(law.hypothesis)}
         about["nearest"] = None
         if nearest.names:

@@ -150,7 +150,7 @@ class Evidence(Protocol):
     def standing(self, error: np.ndarray) -> np.ndarray:
         """Return the mean square (m,) of residuals (m, n, c) before anything moves, in units of its noise."""
 
-    def noise_through(
+    def noise_of(
         self,
         effects: Sequence[Placed],
         parameters: np.ndarray,
@@ -158,7 +158,7 @@ class Evidence(Protocol):
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Return chi-squared (draws, s) by sensor of noise alone where effects with numbers x (p,) are true."""
+        """Return whitened residuals (draws, n_r) of noise alone where effects with numbers x (p,) each are true."""
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray] | None:
         """Return the residuals (draws, n, c) by noise of the drive, as a function of parameters (p,).

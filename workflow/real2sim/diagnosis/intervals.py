@@ -10,11 +10,10 @@ import numpy as np
 from real2sim.diagnosis.corrected import Correction, corrected
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.effects.catalogue import Placed
 from real2sim.inference.identifiability import interval_verdict
 
 if TYPE_CHECKING:
-    from real2sim.settings import Settings
+    from real2sim.settings import DiagnosisSettings, Settings
 
 
 @dataclass(frozen=True)
@@ -27,20 +26,21 @@ class Known:
     verdict: str
 
 
-def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, settings: Settings) -> list[Known]:
+def parameter_verdicts(
+    pair: Pair, hypothesis: Hypothesis, wider: np.ndarray, settings: Settings
+) -> list[Known]:
     """Return what a fit says of each parameter of the system, as the identification does.
 
     ``unbiased`` is the fitted value, less its bias by noise of the drive (``bias_ln``) where that is more than its SD
-    and the rest is known. The interval, cut at the search's bounds, is about the point without the bias. What the fit
-    leaves beyond noise, of ``samples`` residuals of the fitted trial, widens it. A parameter whose SD cannot be
-    computed is not determined, and its interval is the range of the search. ``settings`` are the slices ``diagnosis``
-    and ``identifiability``.
+    and the rest is known. The interval, cut at the search's bounds, is about the point without the bias; its SD by the
+    curvature is multiplied by ``wider`` (n + p,) of `widened`. A parameter whose SD cannot be computed is not
+    determined, and its interval is the range of the search. ``settings`` are the slices ``diagnosis`` and
+    ``identifiability``.
     """
     options, limits = settings["diagnosis"], settings["identifiability"]
     point, covariance = corrected(pair, hypothesis, Correction.from_options(options["search"]))
     n = len(hypothesis.base)
-    excess = 1 + max(Search(pair, options["search"]).above_by_trial(hypothesis)[0], 0.0) / samples
-    sd = np.hypot(np.sqrt(_variances(covariance)[:n] * excess), options["report"]["plant_sd_ln"])
+    sd = np.hypot((np.sqrt(_variances(covariance)) * wider)[:n], options["report"]["plant_sd_ln"])
     bias = hypothesis.base - point[:n]
     lower, upper = pair.system.bounds()
     out = []
@@ -63,21 +63,21 @@ def parameter_verdicts(pair: Pair, hypothesis: Hypothesis, samples: int, setting
     return out
 
 
-def effect_intervals(pair: Pair, hypothesis: Hypothesis, placed: Placed) -> list[tuple[float, float]]:
-    """Return 95 % intervals [SI] of an effect's parameters, from the curvature at the joint optimum."""
-    covariance = covariance_of(pair, hypothesis)
-    first = len(hypothesis.base)
-    for other in hypothesis.effects:
-        if other is placed:
-            break
-        first += len(other.effect.parameters)
-    own = slice(first, first + len(placed.effect.parameters))
-    sd = np.sqrt(_variances(covariance)[own])
-    x = hypothesis.z[own]
-    lower, upper = placed.bounds()
-    low = placed.values(np.clip(x - 1.96 * sd, lower, upper)[None])[0]
-    high = placed.values(np.clip(x + 1.96 * sd, lower, upper)[None])[0]
-    return [(float(min(a, b)), float(max(a, b))) for a, b in zip(low, high, strict=True)]
+def effect_intervals(
+    pair: Pair, hypothesis: Hypothesis, wider: np.ndarray, options: DiagnosisSettings
+) -> list[list[tuple[float, float]]]:
+    """Return 95 % intervals [SI] of the parameters of each effect; ``wider`` as in `parameter_verdicts`."""
+    every = np.sqrt(_variances(covariance_of(pair, hypothesis))) * wider
+    first, out = len(hypothesis.base), []
+    for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
+        # of a searched number that is no logarithm, a share of its size is what a share is of the value
+        logarithm = np.array([p.log for p in placed.effect.parameters], bool)
+        least = options["report"]["plant_sd_ln"] * np.where(logarithm, 1.0, np.abs(x))
+        away = 1.96 * np.hypot(every[first : first + len(x)], least)
+        low, high = (placed.values(np.clip(x + d, *placed.bounds())[None])[0] for d in (-away, away))
+        out.append([(float(min(a, b)), float(max(a, b))) for a, b in zip(low, high, strict=True)])
+        first += len(x)
+    return out
 
 
 def _variances(covariance: np.ndarray) -> np.ndarray:
@@ -86,8 +86,51 @@ def _variances(covariance: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(variance) & (variance >= 0), variance, np.inf)
 
 
+def widened(pair: Pair, hypothesis: Hypothesis, samples: int, options: DiagnosisSettings) -> np.ndarray:
+    """Factors (n + p,), at least 1, on the SD of the searched numbers by the curvature at the joint optimum.
+
+    By what the fit leaves beyond noise, of ``samples`` residuals of the fitted trial, and by the scatter of fits of
+    simulated noise.
+    """
+    above = Search(pair, options["search"]).above_by_trial(hypothesis)[0]
+    return np.asarray(np.sqrt(1 + max(above, 0.0) / samples) * scatter(pair, hypothesis, options))
+
+
 def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
     """Return the covariance (n + p, n + p) of the searched numbers, from the curvature at the joint optimum."""
+    return _curvature(pair, hypothesis)[1]
+
+
+def scatter(pair: Pair, hypothesis: Hypothesis, options: DiagnosisSettings) -> np.ndarray:
+    """SD (n + p,) of the searched numbers among fits of simulated noise over that by the curvature, at least 1.
+
+    Noise is whitened band by band. What moves the residuals of many frequencies together, as an error of the start
+    does, is then taken for as many measurements, and the curvature for more than is known. Noise is simulated through
+    the hypothesis, drawn anew and not as what whitens it, and each draw moves the optimum by its Gauss-Newton step: the
+    sandwich of White (Econometrica 50 (1982) 1).
+    """
+    jacobian, covariance = _curvature(pair, hypothesis)
+    noise = pair.train.noise_of(
+        hypothesis.effects,
+        pair.system.values(hypothesis.base),
+        hypothesis.split(),
+        options["noise_draws"],
+        options["search"]["seed"] + 1,
+    )
+    # a draw that MuJoCo gives up on says nothing
+    noise = noise[np.isfinite(noise).all(axis=1)]
+    data = jacobian[: noise.shape[1]]
+    moved = noise @ data @ covariance
+    # prior rows and the other trial are as uncertain as the curvature says
+    rest = covariance - covariance @ data.T @ data @ covariance
+    variance = (moved**2).sum(axis=0) / max(len(noise), 1) + np.maximum(np.diag(rest), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = variance / np.diag(covariance)
+    return np.sqrt(np.where(np.isfinite(ratio), np.maximum(ratio, 1.0), 1.0))
+
+
+def _curvature(pair: Pair, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Jacobian (n_r, n + p) on the fitted trial and the covariance (n + p, n + p) of both trials."""
     problem = following(pair.train, hypothesis, pair.system)
     _, jacobian = problem.with_jacobian(hypothesis.z, np.arange(len(hypothesis.z)))
     normal = jacobian.T @ jacobian
@@ -96,4 +139,4 @@ def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
         _, own = elsewhere.with_jacobian(hypothesis.z, elsewhere.free)
         normal[np.ix_(elsewhere.free, elsewhere.free)] += own.T @ own
     normal[np.diag_indices_from(normal)] += 1e-9
-    return np.asarray(np.linalg.inv(normal))
+    return jacobian, np.asarray(np.linalg.inv(normal))

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from real2sim.diagnosis.free_form import AnyFamily, Law, Library
-from real2sim.diagnosis.intervals import covariance_of
+from real2sim.diagnosis.intervals import covariance_of, scatter
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.chains import Context
 from real2sim.effects.families import Family, Term, Variable, times
 from real2sim.effects.free_run import feed_back
+
+if TYPE_CHECKING:
+    from real2sim.settings import DiagnosisSettings
 
 # Points of a curve over the visited range
 _POINTS = 41
@@ -40,12 +43,14 @@ class _Fitted:
     covariance: np.ndarray
 
 
-def describe(pair: Pair, law: Law, rivals: Sequence[Law], library: Library) -> dict[str, Any]:
+def describe(
+    pair: Pair, law: Law, rivals: Sequence[Law], library: Library, options: DiagnosisSettings
+) -> dict[str, Any]:
     """Return what diagnosis.json says of a law, but for what it closes.
 
-    ``rivals`` are the other laws that were refitted, by falling evidence.
+    ``rivals`` are the other laws that were refitted, by falling evidence; ``options`` is the slice ``diagnosis``.
     """
-    fitted = _fitted(pair, law)
+    fitted = _fitted(pair, law, options)
     told = [least_family(one.family, one.coefficients, library, pair) for one in fitted]
     first = told[0]
     alike = [one for one in told if one["kind"] == first["kind"]]
@@ -185,8 +190,10 @@ def _beyond_noise(pair: Pair, hypothesis: Hypothesis) -> float:
     return max(1.0, *(left / n for left, n in zip(hypothesis.chi2, expected, strict=True)))
 
 
-def _fitted(pair: Pair, law: Law) -> list[_Fitted]:
-    covariance = covariance_of(pair, law.hypothesis) * _beyond_noise(pair, law.hypothesis)
+def _fitted(pair: Pair, law: Law, options: DiagnosisSettings) -> list[_Fitted]:
+    wider = scatter(pair, law.hypothesis, options)
+    covariance = covariance_of(pair, law.hypothesis) * np.outer(wider, wider)
+    covariance *= _beyond_noise(pair, law.hypothesis)
     at, out = law.first, []
     for family, x in zip(law.families, law.coefficients, strict=True):
         # of coefficients that each trial has of its own, those of the fitted one are told

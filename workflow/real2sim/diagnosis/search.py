@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit, refit_freely
-from real2sim.diagnosis.sensors import above, are_on_floor, pooled
+from real2sim.diagnosis.sensors import above, are_on_floor, by_sensor, pooled
 from real2sim.effects.catalogue import Placed
 from real2sim.effects.free_run import feed_back
 from real2sim.inference.least_squares import Tangent, bounded_step
@@ -260,7 +260,11 @@ class Search:
             parameters, x = self.pair.system.values(hypothesis.base), hypothesis.split()
             settled = (hypothesis.effects, parameters, x, BATCH - 1, self._settings["seed"])
             trials = (self.pair.train, self.pair.held_out)
-            train, held_out = in_threads(self.threads, lambda trial: trial.noise_through(*settled), trials)
+            train, held_out = in_threads(
+                self.threads,
+                lambda trial: by_sensor(trial.noise_of(*settled), trial.sensors.values()),
+                trials,
+            )
             self._count(2 * BATCH)
             self._noise[key] = train, held_out
         return self._noise[key]

@@ -15,7 +15,6 @@ from scipy.ndimage import label
 
 from real2sim import signals
 from real2sim.diagnosis.channel_cost import ChannelCost
-from real2sim.diagnosis.sensors import by_sensor
 from real2sim.diagnosis.whitening import Bands, Whitening, without_gaps
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -299,7 +298,7 @@ class SystemEvidence:
             )
         return out
 
-    def noise_through(
+    def noise_of(
         self,
         effects: Sequence[Placed],
         parameters: np.ndarray,
@@ -307,12 +306,12 @@ class SystemEvidence:
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Chi-squared (draws, sensors) of noise alone where effects with searched numbers x (p,) each are the truth."""
+        """Whitened residuals (draws, n_r) of noise alone where effects with searched numbers x (p,) are the truth."""
         error = self._noise(effects, parameters, x, draws, seed)
         nuisance = self.cache["nuisance"]
         rng = np.random.default_rng([seed, draws])
         drawn = np.tensordot(rng.standard_normal((draws, len(nuisance))), nuisance, axes=1)
-        return by_sensor(self.whiten(error + drawn), self.sensors.values())
+        return self.whiten(error + drawn)
 
     def shaken(self, draws: int, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         """Residuals (draws, n, c) by noise of the drive, as a function of parameters (p,)."""

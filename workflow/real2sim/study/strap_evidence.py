@@ -18,7 +18,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from real2sim import signals
-from real2sim.diagnosis.sensors import by_sensor
 from real2sim.diagnosis.whitening import Bands, Whitening, without_gaps
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -102,12 +101,14 @@ class Elsewheres:
     """Change of the residuals by per-trial nuisance parameters.
 
     ``rests`` (6, n, c) by a rest pose one SD off, axis by axis; ``starts`` (6, n, c) per metre and radian of a start
-    pose; ``holds`` (k, n, c) by a controller that holds one SD beside equilibrium, none for a robot that is let go;
+    pose; ``pelvis`` (18, n, c) per metre and radian of a pelvis that was beside its measured path, by `_beside`;
+    ``holds`` (k, n, c) by a controller that holds one SD beside equilibrium, none for a robot that is let go;
     ``put_back`` (k, n, c) by what was missed of pelvis markers that were lost.
     """
 
     rests: np.ndarray
     starts: np.ndarray
+    pelvis: np.ndarray
     holds: np.ndarray
     put_back: np.ndarray
 
@@ -132,7 +133,9 @@ class ReplayCache:
 
     drives: dict[float, PelvisDrive] = field(default_factory=dict)
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
-    draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(
+        default_factory=dict
+    )
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
     start_joints: np.ndarray | None = None
 
@@ -417,7 +420,7 @@ class StrapEvidence:
         """Lower limits (c,) of each channel's noise."""
         return self.levels.noise_model.bands.floor[: self.channels]
 
-    def noise_through(
+    def noise_of(
         self,
         effects: Sequence[Placed],
         parameters: np.ndarray,
@@ -425,12 +428,12 @@ class StrapEvidence:
         draws: int,
         seed: int,
     ) -> np.ndarray:
-        """Chi-squared (draws, sensors) that noise alone leaves where effects with numbers x (p,) each are the truth.
+        """Whitened residuals (draws, n_r) of noise alone where effects with searched numbers x (p,) each are the truth.
 
         Friction, stops and a robot that yields pass noise of the pelvis on otherwise than the plain plant.
         """
         error, drawn = self._noise(parameters, draws, seed, effects, x)
-        return by_sensor(self.whiten(error + drawn), self.sensors.values())
+        return self.whiten(error + drawn)
 
     def _noise(
         self,
@@ -456,18 +459,19 @@ class StrapEvidence:
     def _nuisance(self, seed: int, draws: int) -> np.ndarray:
         """Return the change of the residuals (k, n, c) by one SD of each per-trial nuisance parameter.
 
-        Where the strap rests, the robot starts and its controller holds, when the log was written and how far the
-        wheels roll: each is one number for the whole trial and no noise that comes and goes.
+        Where the strap rests, the robot starts and its controller holds, where the pelvis is beside its measured path,
+        when the log was written and how far the wheels roll: each is one number for the whole trial and no noise that
+        comes and goes.
         """
         if self.elsewhere is None:
             raise ValueError("the noise of this trial has not been simulated: call with_noise first")
         markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
         misjudged = self._misjudged(markers)
         covariance = misjudged.T @ misjudged / draws + self.levels.let_go.T @ self.levels.let_go
-        values, axes = np.linalg.eigh(covariance)
-        roots = np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
-        started = np.tensordot(roots, self.elsewhere.starts, axes=1)
-        parts = [self.elsewhere.rests, started, self.elsewhere.holds, self.elsewhere.put_back]
+        started = np.tensordot(_roots(covariance), self.elsewhere.starts, axes=1)
+        beside = np.array([self._draw(seed, i)[3].ravel() for i in range(draws)])
+        driven = np.tensordot(_roots(beside.T @ beside / draws), self.elsewhere.pelvis, axes=1)
+        parts = [self.elsewhere.rests, started, driven, self.elsewhere.holds, self.elsewhere.put_back]
         if self.robot is not None:
             parts.append(self._log_unknown())
         return np.concatenate(parts)
@@ -516,32 +520,57 @@ class StrapEvidence:
             out = np.concatenate([out, self._from_start(joints)], axis=2)
         # a pose that MuJoCo gives up on is none that was
         moved = np.nan_to_num(out[1:] - out[:1])
-        return Elsewheres(moved[:6], moved[6:12] / _START_STEP, moved[12:], self._by_lost_markers(parameters))
+        starts, holds = moved[6:12] / _START_STEP, moved[12:]
+        driven, put_back = self._by_other_paths(parameters)
+        return Elsewheres(moved[:6], starts, driven, holds, put_back)
 
-    def _by_lost_markers(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the change of the residuals (k, n, c) by one SD of what was missed of pelvis markers put back."""
-        n, gaps = len(self.trial.time_s), self.recorded.put_back
-        moved = np.concatenate([np.empty((0, n, 4, 3)), *(gap.missed(n) for gap in gaps)])
-        if not len(moved):
-            return np.empty((0, n, self.channels))
-        replay = self.replay([], len(moved) + 1, coarse=True)
-        for i, displaced in enumerate(moved):
-            replay.set_command(i + 1, replay.command_for(*self._pelvis_by(displaced)))
-        return np.asarray(np.nan_to_num(self._apart(replay, parameters, len(moved), 0.0, 0.0)))
+    def _by_other_paths(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the change of the residuals by pelvis paths other than the measured one.
+
+        (18, n, c) per metre and radian beside it, and (k, n, c) by one SD of what was missed of pelvis markers put
+        back.
+        """
+        n, gaps, measured = len(self.trial.time_s), self.recorded.put_back, path_of(self.trial)
+        steps = [np.outer(shape, step) for shape in self._beside for step in _START_STEP * np.eye(6)]
+        beside = [with_path(self.trial, measured + step) for step in steps]
+        missed = np.concatenate([np.empty((0, n, 4, 3)), *(gap.missed(n) for gap in gaps)])
+        paths = [(trial.pelvis_rotation, trial.pelvis_position) for trial in beside]
+        paths += [self._pelvis_by(displaced) for displaced in missed]
+        replay = self.replay([], len(paths) + 1, coarse=True)
+        for i, path in enumerate(paths):
+            replay.set_command(i + 1, replay.command_for(*path))
+        moved = np.nan_to_num(self._apart(replay, parameters, len(paths), 0.0, 0.0))
+        return moved[: len(steps)] / _START_STEP, moved[len(steps) :]
 
     def shaken(self, draws: int, seed: int) -> None:
         """None: a replay is driven by the most probable path, and what is left of the person's bends no fit."""
 
-    def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i."""
+    def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i.
+
+        What of that path's noise is `_beside` it, (3, 6) [m, rad], is told apart and not in it: each of these numbers
+        moves many residuals together, and noise that is whitened frequency by frequency would be taken for as many
+        measurements.
+        """
         if (seed, i) not in self.cache.draws:
             rng = np.random.default_rng([seed, i])
             left = self.recorded.path.left(path_noise(self.trial, self.levels.noise_model, rng), rng)
-            drawn = with_path(self.trial, path_of(self.trial) + left)
+            beside = np.linalg.lstsq(self._beside.T, left, rcond=None)[0]
+            drawn = with_path(self.trial, path_of(self.trial) + left - self._beside.T @ beside)
             rotation, position = drawn.pelvis_rotation, drawn.pelvis_position
             own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(self.trial.time_s), rng)
-            self.cache.draws[seed, i] = rotation, position, own
+            self.cache.draws[seed, i] = rotation, position, own, beside
         return self.cache.draws[seed, i]
+
+    @property
+    def _beside(self) -> np.ndarray:
+        """Shapes (3, n) of how a pelvis may be beside its measured path: throughout, at the start and at the end.
+
+        At its ends a path is known from one side alone. An error of the start lets the robot go from where it did not
+        stand, and one of either end is in residuals of all frequencies. Both last as long as the start is averaged.
+        """
+        sample = np.arange(len(self.trial.time_s)) / self.context.start
+        return np.array([np.ones(len(sample)), np.exp(-sample), np.exp(sample - sample[-1])])
 
     def _pelvis_by(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pelvis path (n, 3, 3), (n, 3) [m] with its markers displaced by (n, 4, 3) [m]."""
@@ -579,3 +608,9 @@ class StrapEvidence:
         if self.robot is not None:
             error = np.concatenate([error, self._from_start(joints[1:] - joints[:1]) - logged], axis=2)
         return np.asarray(error)
+
+
+def _roots(covariance: np.ndarray) -> np.ndarray:
+    """Return rows (k, k) whose outer products add up to a covariance (k, k)."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)

@@ -46,6 +46,12 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
             "k_tx": {"base": 800.0, "with_effect": 710.0, "ci95": [690.0, 730.0], "verdict": "determined"},
             "d_ry": {"base": 2.0, "with_effect": 9.0, "ci95": [1.0, 15.0], "verdict": "not determined"},
         },
+        "causes": [
+            {
+                "effect": "slack",
+                "parameters": {"half_width_tx_m": {"value": 2.2e-3, "ci95": [2.1e-3, 2.3e-3]}},
+            }
+        ],
         "baselines": {"AIC": verdict},
         "considered": [
             {"effects": ["slack"], "J": 1.2},
@@ -61,7 +67,9 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         "id": name,
         "stratum": stratum,
         "effects": [
-            {"effect": e, "family": e, "axes": ["tx"], "stage": "interface", "severity": 0.3} for e in effects
+            {"effect": e, "form": e, "family": e, "axes": ["tx"], "stage": "interface", "severity": 0.3}
+            | {"parameters": {"half_width_tx_m": 2e-3} if e == "slack" else {}}
+            for e in effects
         ],
         "regimes": {"large amplitude, fast": 0.5, "small amplitude, fast": 0.4, "small amplitude, slow": 0.1},
         "visibility": {"target": 0.2, "predicted": 0.2},
@@ -281,6 +289,8 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     assert claims["RMS ln-error of K, D cut by (median)"]["value"] < sure["value"], "with what nobody knows"
     held = claims["95 % intervals of the determined K, D hold the truth"]
     assert (held["value"], held["n"]) == (1.0, 2), "of one right answer in the catalogue and one null"
+    sizes = claims["95 % intervals of an effect's parameters hold the truth"]
+    assert (sizes["value"], sizes["n"]) == (0.0, 1), "of one right answer"
     effects = {row["effect"]: row for row in score["per_effect"]}
     assert effects["slack"]["smallest_rho"] == 0.2
     assert effects["slack"]["smallest_severity"] == 0.3

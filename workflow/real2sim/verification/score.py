@@ -17,6 +17,7 @@ from real2sim.inference.identifiability import DETERMINED
 from real2sim.verification.claims import Row, claim, figure, print_table
 from real2sim.verification.score_laws import STRATA as UNLISTED
 from real2sim.verification.score_laws import SURE, answers_rightly, score_unlisted, unlisted_by_form
+from real2sim.verification.score_sizes import held_sizes
 
 # Family of each effect: where another equation of the same family is the truth, its name is right
 LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
@@ -276,6 +277,12 @@ def _score_parameters(library: list[Row], nulls: list[Row]) -> list[Row]:
             None,
         ),
         claim("95 % intervals of the determined K, D hold the truth", held, "none: 95 % were right", None),
+        claim(
+            "95 % intervals of an effect's parameters hold the truth",
+            [hit for r in library for hit in held_sizes(r)],
+            "none: 95 % were right",
+            None,
+        ),
         figure(
             "RMS ln-error of K, D on null, times (median)",
             _median(kept),

@@ -1,0 +1,60 @@
+"""Whether intervals of an effect's parameters hold the sealed truth: what is compared with what."""
+
+from __future__ import annotations
+
+import pytest
+from real2sim.effects.catalogue import EFFECT_NAMES
+from real2sim.verification.score_sizes import SAME, held_sizes
+from real2sim.verification.suite.forms import FORMS
+
+
+def _row(effect, truth, told, verdict=None, form=None, axes=()):
+    case = {"effects": [{"effect": effect, "form": form or effect, "axes": list(axes), "parameters": truth}]}
+    causes = [
+        {"effect": effect, "parameters": {k: {"value": sum(v) / 2, "ci95": v} for k, v in told.items()}}
+    ]
+    return {"case": case, "names": [effect], "answer": {"verdict": verdict or effect, "causes": causes}}
+
+
+@pytest.mark.parametrize(
+    ("effect", "axes", "truth", "told", "held"),
+    [
+        ("coulomb", ["ry"], {"friction_ry_Nm": 4.0}, {"force_ry_Nm": [3.9, 4.1]}, [True]),
+        ("coulomb", ["ry"], {"friction_ry_Nm": 4.0}, {"force_ry_Nm": [4.01, 4.05]}, [False]),
+        ("clock_drift", [], {"rate": 4e-3}, {"drift": [3e-3, 5e-3]}, [True]),
+        ("preload", ["rx"], {"shift_rx_rad": -0.1}, {"rest_turn_rx_turned_rad": [-0.2, -0.05]}, [True]),
+        (
+            "joint_limit",
+            ["tx"],
+            {"limit_tx_m": 0.01, "side": -1.0},
+            {"place_tx_lower_m": [0.0, 0.009]},
+            [False],
+        ),
+        (
+            "stiffening",
+            ["tx", "ty"],
+            {"cubic_tx_N/m3": 1e7, "cubic_ty_N/m3": 4e6},
+            {"cubic_ty_N_per_m3": [5e6, 6e6], "cubic_tx_N_per_m3": [0.9e7, 1.1e7]},
+            [True, False],
+        ),
+        # the width of a soft slack is another quantity, and so is the pull of one side
+        ("slack", ["rx"], {"half_width_rx_rad": 0.06}, {"half_width_rx_soft_rad": [0.03, 0.04]}, []),
+        ("one_sided", ["ty"], {"one_sided_stiffness_ty_N/m": 6562.0}, {"share_ty_lower": [0.9, 1.0]}, []),
+    ],
+)
+def test_a_quantity_is_found_under_the_name_that_the_answer_has_for_it(effect, axes, truth, told, held):
+    assert held_sizes(_row(effect, truth, told, axes=axes)) == held
+
+
+def test_what_was_not_named_or_made_otherwise_is_not_counted():
+    size, told = {"friction_ry_Nm": 4.0}, {"force_ry_Nm": [3.9, 4.1]}
+    assert held_sizes(_row("coulomb", size, told, verdict="lugre", axes=["ry"])) == []
+    assert held_sizes(_row("coulomb", size, told, form="coulomb_tanh", axes=["ry"])) == []
+    without = _row("coulomb", size, told, axes=["ry"])
+    del without["answer"]["causes"][0]["parameters"]["force_ry_Nm"]["ci95"]
+    assert held_sizes(without) == []
+
+
+def test_every_listed_effect_is_one_that_suites_make_and_the_catalogue_names():
+    assert set(SAME) <= set(FORMS)
+    assert set(SAME) <= set(EFFECT_NAMES)

@@ -217,8 +217,8 @@ def write_refined(path: Path, *, ratio: float = 1.01, share: float = 0.2, in_pri
         "full": {"J": 0.03},
         "against_full": against,
     }
-    record = {"subject": "S99", "status": "ok", "free": ["k_ty", "d_tx"], "prior_rests_on_person": in_priors}
-    write_json(path, record | {"trials": {"dynamic_1": trial}})
+    record = {"subject": "S99", "status": "ok", "free": ["k_ty", "d_tx"], "also_free": []}
+    write_json(path, record | {"prior_rests_on_person": in_priors, "trials": {"dynamic_1": trial}})
     return path
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from real2sim.artefacts import number, read_table, write_table
+from real2sim.artefacts import number, read_json, read_table, write_json, write_table
 from real2sim.errors import InputError
+from real2sim.inference.parameters import parameter_column
 from real2sim.study.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, claims
 from real2sim.study.paper.latex import escaped, latex_table, macro_name, macros
 from real2sim.study.paper.tables import paper_figures
@@ -174,6 +176,65 @@ def test_refining_is_judged_beside_the_full_calibration(study, tmp_path, ratio, 
     assert found["refine_count"]["verdict"] == "not reproduced on the phantom"
     own = _judged(*study, tmp_path, refined=[write_refined(refined, in_priors=True)])
     assert own["refine_fidelity"]["verdict"] == NOT_COMPUTED, "somebody behind the priors is not unseen"
+
+
+def test_what_beats_a_persons_own_fit_judges_nothing(study, tmp_path):
+    """A search that stopped early is beaten by parameters from elsewhere: that is no sign that these carry over."""
+    half = write_refined(tmp_path / "half.json", ratio=0.52)
+    found = _judged(*study, tmp_path, refined=[half])["refine_fidelity"]
+    assert found["verdict"] == NOT_COMPUTED
+    assert "not converged" in found["reason"]
+    assert "-48" in found["reason"]
+    _, given = study
+    for table, column, names in (
+        ("cross_trial", "overhead_percent", ("overhead_mean", "overhead_highest")),
+        ("loso", "overhead_J_percent", ("loso_J",)),
+    ):
+        rows = read_table(given[table])
+        changed = [row | {column: "-3" if row["subject"] == "S01" else row[column]} for row in rows]
+        write_table(tmp_path / f"{table}.csv", list(rows[0]), changed)
+        again = _judged(*study, tmp_path, **{table: tmp_path / f"{table}.csv"})
+        assert {again[name]["verdict"] for name in names} == {NOT_COMPUTED}, table
+
+
+def test_a_count_of_refined_parameters_is_that_of_people_who_were_refined(study, tmp_path):
+    path = write_refined(tmp_path / "refined.json")
+    record = read_json(path)
+
+    def count(**changed):
+        write_json(path, record | changed)
+        return _judged(*study, tmp_path, refined=[path])["refine_count"]
+
+    assert number(count()["here"]) == 2
+    assert number(count(also_free=["d_tx"])["here"]) == 1
+    assert count(status="no dynamic trial: nothing to refine on")["verdict"] == NOT_COMPUTED
+    _, given = study
+    rows = read_table(given["icc"])
+    write_table(tmp_path / "icc.csv", list(rows[0]), [row | {"class": ""} for row in rows])
+    write_json(path, record)
+    alone = _judged(*study, tmp_path, refined=[path], icc=tmp_path / "icc.csv")["refine_count"]
+    assert alone["verdict"] == NOT_COMPUTED
+    assert "Table I" in alone["reason"]
+
+
+@pytest.mark.parametrize(
+    ("values", "verdict"),
+    [
+        ([15.0, 15.1, 15.2, 60.0], "reproduced"),
+        ([15.0, 58.0, 60.0, 61.0], "not reproduced"),
+        ([500.0], "not"),
+    ],
+)
+def test_k_rz_sits_on_its_lower_bound_where_most_fits_do(study, tmp_path, values, verdict):
+    folder, _ = study
+    rows = read_table(folder / "fits.csv")
+    cycle = itertools.cycle(values)
+    write_table(
+        tmp_path / "fits.csv", list(rows[0]), [r | {parameter_column("k_rz"): f"{next(cycle)}"} for r in rows]
+    )
+    found = _judged(*study, tmp_path, fits=tmp_path / "fits.csv")["bound_k_rz"]
+    assert found["verdict"].startswith(verdict)
+    assert "lower bound of k_rz (15 Nm/rad)" in found["reason"]
 
 
 def test_gait_and_sway_are_judged_per_seed_at_the_compared_cap(study, table, tmp_path):

@@ -216,6 +216,31 @@ def test_the_next_person_is_looked_for_where_people_are_expected(tmp_path):
         assert (search.bounds.lower[k_ty], search.bounds.upper[k_ty]) == ends
 
 
+def test_a_parameter_that_is_on_its_bound_for_everybody_stays_there(tmp_path):
+    """k_rz of the paper: fits that end on a bound have no spread, and their mean may be beyond it by rounding."""
+    k_ty = PARAMETERS.index("k_ty")
+    for end, prior in ((1.0, 1.0 - 1e-14), (1000.0, 1000.0 + 1e-11)):
+        alike = {
+            "class": "uncertain",
+            "prior": prior,
+            "interval_low": end * (1 - 1e-12),
+            "interval_high": end,
+        }
+        search = read_search(table(tmp_path / "priors.csv", k_ty=alike), BOUNDS, ["d_rz"])
+        assert search.prior[k_ty] == end
+        assert [PARAMETERS[i] for i in search.free] == ["d_rz"]
+        assert search.use["k_ty"] == "fixed at the prior: the others' fits are alike"
+        found = refine_residuals(linear(), search, **HOW)
+        assert found.values[k_ty] == end
+
+
+def test_a_narrow_interval_can_be_searched(tmp_path):
+    narrow = {"class": "uncertain", "interval_low": 39.99, "interval_high": 40.01}
+    search = read_search(table(tmp_path / "priors.csv", k_ty=narrow), BOUNDS, [])
+    found = refine_residuals(linear(np.full(12, 55.0)), search, **HOW)
+    assert found.values[PARAMETERS.index("k_ty")] == pytest.approx(40.01, rel=1e-5)
+
+
 def test_the_published_table_serves_as_it_is():
     bounds = Bounds.from_config(CONFIG["identification"]["bounds"])
     search = read_search(PUBLISHED, bounds, [])

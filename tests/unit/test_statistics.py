@@ -248,11 +248,39 @@ def test_piecewise_recovers_exact_data():
     np.testing.assert_allclose(fit.predict(LEVELS), _knee(LEVELS), atol=1e-6)
 
 
-def test_piecewise_with_an_intercept_for_each_person():
+def test_piecewise_with_a_line_for_each_person():
     x, person = np.tile(LEVELS, 3), np.repeat(np.arange(3), len(LEVELS))
-    fit = fit_piecewise(x, _knee(x) + 5.0 * person, person)
+    fit = fit_piecewise(x, _knee(x) + 5.0 * person + (person - 1) * (x - 0.1), person)
     assert [fit.breakpoint, fit.slope_1, fit.slope_2] == pytest.approx([0.1, -8.0, -1.5], abs=1e-6)
     assert fit.value_at_breakpoint == pytest.approx(17.0, abs=1e-6)
+    # who was measured at one level has no slope, and says nothing of the others'
+    alone = fit_piecewise(np.append(x, 0.0), np.append(_knee(x), 99.0), np.append(person, 3))
+    assert [alone.breakpoint, alone.slope_1, alone.slope_2] == pytest.approx([0.1, -8.0, -1.5], abs=1e-6)
+
+
+def test_people_with_different_slopes_have_no_breakpoint_together():
+    """With one slope for all, a fifth of such cohorts had one."""
+    rng, found = np.random.default_rng(11), []
+    x, person = np.tile(LEVELS, 8), np.repeat(np.arange(8), len(LEVELS))
+    # each person's levels lie elsewhere, as normalised tightness puts them
+    x = x + np.repeat(rng.uniform(-0.4, 0.4, 8), len(LEVELS))
+    for seed in range(200):
+        y = np.repeat(rng.normal(-4, 2, 8), len(LEVELS)) * x + rng.normal(size=len(x))
+        found.append(breakpoint_p_value(x, y, person, permutations=199, seed=seed) <= 0.05)
+    assert np.mean(found) < 0.1
+
+
+def test_resamples_of_people_who_cannot_show_a_bend_are_left_out():
+    """Of two people with sweeps and three at one level, some resamples hold the latter alone."""
+    x = np.concatenate([np.tile(LEVELS, 2), np.zeros(3)])
+    person = np.concatenate([np.repeat([0, 1], len(LEVELS)), [2, 3, 4]])
+    y = _knee(x) + 0.3 * np.random.default_rng(3).normal(size=len(x))
+    low, high = breakpoint_interval_by_group(x, y, person, bootstrap=400, seed=1, confidence=0.95)
+    assert LEVELS[1] < low <= 0.1 <= high
+    none = breakpoint_interval_by_group(
+        LEVELS, LEVELS, np.arange(len(LEVELS)), bootstrap=20, seed=1, confidence=0.95
+    )
+    assert np.isnan(none).all()
 
 
 def test_a_straight_line_has_no_breakpoint_and_few_levels_are_refused():

@@ -107,8 +107,8 @@ def minimise(
     iteration and scipy's status.
     """
     problem = _Visited(residuals, start, free, keep, known)
-    margin = 1e-6
     lower, upper = residuals.lower[free], residuals.upper[free]
+    margin = np.minimum(1e-6, (upper - lower) / 4)
     solution = least_squares(
         problem.value,
         np.clip(start[free], lower + margin, upper - margin),

@@ -46,6 +46,9 @@ OK = "ok"
 PREDICTION = "prediction"
 _NOT_HELD = ": the interval does not hold this person"
 ASKED = "free by refinement.also_free"
+ALIKE = "fixed at the prior: the others' fits are alike"
+# Rounding of a geometric mean of many fits, and a width that no cost tells from none [ln]
+_ROUNDING_LN, _NO_ROOM_LN = 1e-9, 1e-4
 # A refinement is as good as a full calibration up to this, and worth it below that share of its evaluations
 J_BAR, EVALUATIONS_BAR = 1.02, 0.25
 _PACKAGES = ["mujoco", "numpy", "scipy"]
@@ -95,6 +98,9 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str], interval
             raise _unusable(priors, name, found, f"one of {', '.join(USE)}")
         prior[i] = number(row["prior"])
         low, high = _interval(row, interval)
+        # a prior on a bound may be beyond it by rounding
+        within = np.clip(prior[i], bounds.lower[i], bounds.upper[i])
+        prior[i] = within if abs(np.log(prior[i] / within)) < _ROUNDING_LN else prior[i]
         if not bounds.lower[i] <= prior[i] <= bounds.upper[i]:
             inside = f"within identification.bounds, {bounds.lower[i]:g} to {bounds.upper[i]:g}"
             raise _unusable(priors, name, f"prior {row['prior'] or 'missing'}", inside)
@@ -105,10 +111,13 @@ def read_search(priors: Path, bounds: Bounds, also_free: Iterable[str], interval
             continue
         elif use[name] == USE["uncertain"]:
             lower[i], upper[i] = max(low, lower[i]), min(high, upper[i])
-            if not lower[i] < upper[i]:
+            if not np.log(lower[i] / upper[i]) < _ROUNDING_LN:
                 raise _unusable(
                     priors, name, f"interval [{low:g}, {high:g}]", "one that reaches into the bounds"
                 )
+            if np.log(upper[i] / lower[i]) < _NO_ROOM_LN:
+                use[name] = ALIKE
+                continue
         free.append(i)
     start = np.clip(prior, lower, upper)
     fixed = np.setdiff1d(np.arange(12), free)

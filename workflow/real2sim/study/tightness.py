@@ -61,6 +61,8 @@ SWEEP_COLUMNS = (
     "masked_share_translation",
     "phantom",
 )
+# Distinct levels of a person from which on a bend can be told from a straight line
+_BEND = 3
 METHOD = (
     "Two-segment regression on the sides pooled. Both sides are measured at every level, so slopes and "
     "breakpoint are those of the mean of the two sides; the test takes a level, not a side, as one "
@@ -242,12 +244,12 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: Tightnes
 def _pooled(
     tables: dict[str, list[dict[str, str]]], quantity: str, settings: TightnessSettings
 ) -> dict[str, Any]:
-    """Return the regression over all persons: shared slopes and breakpoint, an intercept for each person.
+    """Return the regression over all persons: shared change of slope and breakpoint, a line for each person.
 
-    Who was not measured in a quantity is none of its people.
+    Who was measured in a quantity at fewer than three levels cannot show a bend and is none of its people.
     """
     means = {s: side_means(rows, quantity) for s, rows in tables.items()}
-    parts = {s: points for s, points in means.items() if len(points[0])}
+    parts = {s: points for s, points in means.items() if len(np.unique(points[0])) >= _BEND}
     x, y = (np.concatenate([[], *(points[i] for points in parts.values())]) for i in (0, 1))
     groups = np.repeat(list(parts), [len(p[0]) for p in parts.values()])
     head = {"unit": UNITS[quantity], "n_points": len(x), "n_subjects": len(parts)}
@@ -257,6 +259,8 @@ def _pooled(
     p_value = breakpoint_p_value(x, y, groups, permutations=settings["permutations"], seed=seed)
     interval_of = breakpoint_interval_by_group if len(parts) > 1 else breakpoint_interval
     interval = interval_of(x, y, groups, bootstrap=settings["bootstrap"], seed=seed, confidence=confidence)
+    if not np.isfinite(interval).all():
+        return head | {"status": "nobody was measured on both sides of a possible breakpoint"}
     return head | _regression(fit_piecewise(x, y, groups), p_value, interval, settings)
 
 
@@ -299,7 +303,8 @@ def tightness_cohort(
         {
             "status": "ok" if len(tables) > 1 else needs_people(2, len(tables)),
             "phantom": any(p["phantom"] for p in persons),
-            "method": METHOD + " Pooled over persons: shared slopes and breakpoint, an intercept each.",
+            "method": METHOD
+            + " Pooled over persons: a straight line each, shared change of slope and breakpoint.",
             "subjects": list(tables),
             "pooled": {q: _pooled(tables, q, settings) for q in SIDES} if tables else {},
             "persons": {q: _shared(persons, q) for q in SIDES},

@@ -11,9 +11,7 @@ from real2sim.pages.page import paragraph, rounded
 from real2sim.pages.report.parts import row_of, value_cell
 from real2sim.pages.report.study import Study
 from real2sim.recording.quality.verdict import REFUSE, WARN, worst
-
-# Parameters from elsewhere may cost so much less than a fit before its search counts as unfinished [%]
-_SEARCH_TOLERANCE_PERCENT = 1.0
+from real2sim.study.paper.claims import SEARCH_TOLERANCE_PERCENT
 
 
 def notices(study: Study) -> list[str]:
@@ -56,7 +54,7 @@ def _not_converged(study: Study) -> list[str]:
             (study.identification.cross_trial.rows, "overhead_percent", "other trial"),
         )
         for row in rows
-        if row.get(key) and row["subject"] in study.people and number(row[key]) < -_SEARCH_TOLERANCE_PERCENT
+        if row.get(key) and row["subject"] in study.people and number(row[key]) < -SEARCH_TOLERANCE_PERCENT
     ]
     if not worse:
         return []

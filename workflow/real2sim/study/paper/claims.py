@@ -120,6 +120,11 @@ class Evidence:
         return self.judged(abs(here / self.said(claim) - 1) <= 0.05, here, reason)
 
 
+# How much less than the own fit [%] parameters from elsewhere may cost before that fit counts as not found
+SEARCH_TOLERANCE_PERCENT = 1.0
+# A fit this near to a bound [ln] is on it, as of `identification.at_bound_ln`
+_AT_BOUND_LN = 0.02
+
 Judge = Callable[[Evidence], Finding]
 _JUDGES: dict[str, Judge] = {}
 
@@ -141,6 +146,21 @@ def _claim(make: Callable[..., Finding], *names: str) -> None:
 
 def _no(reason: str) -> Finding:
     return Finding(None, NOT_COMPUTED, reason)
+
+
+def _not_converged(what: str, changes: Iterable[tuple[str, float]]) -> Finding | None:
+    """Return that a claim cannot be judged, where ``what`` costs less than a fit of the trial itself; else None.
+
+    ``changes`` are names and costs above the own fit [%]. Parameters from elsewhere cannot be better than the best ones
+    of a trial: what does better shows that these were not found.
+    """
+    better = [f"{name} {_short(x)} %" for name, x in changes if x < -SEARCH_TOLERANCE_PERCENT]
+    if not better:
+        return None
+    return _no(
+        f"Searches have not converged: {what} cost less than the own fit ({', '.join(better)}). Give more evaluations "
+        "or restarts (identification)."
+    )
 
 
 def _short(value: float, digits: int = 3) -> str:
@@ -259,6 +279,12 @@ def _plateau(e: Evidence) -> Finding:
     return e.judged(within == len(excess), excess[worst], reason)
 
 
+def _by_person(rows: list[Row], key: str) -> list[tuple[str, float]]:
+    """Return a number of each person of a table that has it."""
+    done = [row for row in rows if row["status"] == "ok" and row["subject"] != "mean"]
+    return [(row["subject"], number(row[key])) for row in done]
+
+
 def _mean_row(rows: list[Row]) -> Row | None:
     return next((row for row in rows if row["subject"] == "mean" and row["status"] == "ok"), None)
 
@@ -287,7 +313,8 @@ def _overhead(e: Evidence) -> Finding:
     if mean is None:
         return _no("Not everyone has two dynamic trials.")
     here = number(mean["overhead_percent"])
-    return e.judged(here <= e.said("overhead_mean"), here, "A relative cost: it can be compared.")
+    failed = _not_converged("parameters of the other trial", _by_person(e.cross_trial, "overhead_percent"))
+    return failed or e.judged(here <= e.said("overhead_mean"), here, "A relative cost: it can be compared.")
 
 
 @_judges("overhead_highest")
@@ -297,7 +324,8 @@ def _overhead_highest(e: Evidence) -> Finding:
         return _no("Nobody has two dynamic trials.")
     worst = max(done, key=lambda row: number(row["overhead_percent"]))
     here = number(worst["overhead_percent"])
-    return e.judged(here <= e.said("overhead_highest"), here, f"{worst['subject']}.")
+    failed = _not_converged("parameters of the other trial", _by_person(e.cross_trial, "overhead_percent"))
+    return failed or e.judged(here <= e.said("overhead_highest"), here, f"{worst['subject']}.")
 
 
 @_judges("overhead_arithmetic")
@@ -454,15 +482,16 @@ def _symmetric(row: Row) -> bool:
 
 @_judges("bound_k_rz")
 def _bound_k_rz(e: Evidence) -> Finding:
-    row = _by(e.icc, "parameter").get("k_rz")
-    if row is None or not row["class"]:
-        return _no("There is no ICC.")
-    share = number(row["share_at_bound"])
+    if not e.fits:
+        return _no("There are no fits.")
+    bound = number(_by(e.published["bounds"], "parameter")["k_rz"]["lower"])
     values = np.array([number(fit[parameter_column("k_rz")]) for fit in e.fits])
+    share = float(np.mean(np.log(values / bound) < _AT_BOUND_LN))
     reason = (
-        f"{_short(100 * share)} % of the fits here end on a bound of k_rz; their geometric mean is compared."
+        f"{_short(100 * share)} % of the fits here end on the lower bound of k_rz ({_short(bound)} Nm/rad); their "
+        "geometric mean is compared."
     )
-    return e.judged(share > 0, float(np.exp(np.log(values).mean())), reason)
+    return e.judged(share > 0.5, float(np.exp(np.log(values).mean())), reason)
 
 
 @_judges("damping_ratio")
@@ -493,7 +522,8 @@ def _loso(e: Evidence, claim: str) -> Finding:
         f"An overhead is a percentage of the own best fit{near}; the same extra cost is a larger percentage of a "
         "smaller J."
     )
-    return e.judged(here <= e.said(claim), here, reason if here > e.said(claim) else "")
+    failed = _not_converged("priors of the others", _by_person(e.loso, key))
+    return failed or e.judged(here <= e.said(claim), here, reason if here > e.said(claim) else "")
 
 
 _claim(_loso, "loso_J", "loso_rmse")
@@ -512,10 +542,12 @@ def _against_full(e: Evidence) -> list[tuple[str, dict[str, Any]]]:
 
 @_judges("refine_count")
 def _refine_count(e: Evidence) -> Finding:
-    unseen = [record for record in e.refined if not record["prior_rests_on_person"]]
+    unseen = [r for r in e.refined if not r["prior_rests_on_person"] and r["status"] == "ok"]
     if not unseen:
         return _no("No unseen person has dynamic trials to refine on.")
-    free = unseen[0]["free"]
+    if not any(row["class"] for row in e.icc):
+        return _no("There is no ICC: what is refined follows the paper's own Table I.")
+    free = [name for name in unseen[0]["free"] if name not in unseen[0]["also_free"]]
     return e.judged(len(free) == e.said("refine_count"), len(free), f"{', '.join(free)}.")
 
 
@@ -528,6 +560,9 @@ def _refined(e: Evidence, claim: str) -> Finding:
         "refine_evaluations": ("evaluations_over_best_restart", 0.0),
     }[claim]
     values = {name: 100 * (against[key] - offset) for name, against in found}
+    failed = _not_converged("refined parameters", values.items()) if offset else None
+    if failed:
+        return failed
     worst = max(values, key=lambda name: values[name])
     limit = 100 * (found[0][1]["bar"][key] - offset)
     named = ", ".join(f"{name} {_short(value)}" for name, value in values.items())

@@ -1,9 +1,10 @@
 """Continuous two-segment regression with a free breakpoint, and a test that the breakpoint exists.
 
-The model is y = a[g] + k1 x + (k2 - k1) max(0, x - c), with an intercept for each group g (a person) and
-slopes and breakpoint shared. Given c it is linear, so the reduction of the sum of squares against the
-straight line is closed form in c: r(c) = (h.y)^2 / (h.h), with h the hinge max(0, x - c) after projection off
-intercepts and x.
+The model is y = a[g] + b[g] x + d max(0, x - c), with a straight line for each group g (a person), and the change of
+slope d and the breakpoint c shared. Were the slope shared too, people with different slopes would bend the residuals,
+and their differences would pass for a breakpoint. Given c it is linear, so the reduction of the sum of squares against
+straight lines is closed form in c: r(c) = (h.y)^2 / (h.h), with h the hinge max(0, x - c) after projection off the
+lines.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ GRID_POINTS = 401
 
 @dataclass(frozen=True)
 class PiecewiseFit:
-    """Breakpoint in x, slopes k1 (below) and k2 (above), and the value at the breakpoint (mean over groups).
+    """Breakpoint in x, slopes k1 (below) and k2 (above), and the value at the breakpoint (means over groups).
 
-    ``sse`` and ``sse_line`` are residual sums of squares with and without the breakpoint; ``f`` is the sup-F
+    ``sse`` and ``sse_line`` are residual sums of squares with and without it; ``f`` is the sup-F
     statistic with the degrees of freedom of a known breakpoint.
     """
 
@@ -34,7 +35,7 @@ class PiecewiseFit:
     n: int
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """Return the fitted curve at x, an array of any shape, with the mean intercept of the groups."""
+        """Return the fitted curve at x, an array of any shape, with the mean line of the groups."""
         d = np.asarray(x, float) - self.breakpoint
         return self.value_at_breakpoint + np.where(d < 0, self.slope_1, self.slope_2) * d
 
@@ -52,9 +53,16 @@ def _candidates(x: np.ndarray) -> np.ndarray:
     return np.linspace(levels[1], levels[-2], GRID_POINTS)
 
 
+def _lines(x: np.ndarray, dummies: np.ndarray) -> np.ndarray:
+    """Columns (n, k) of a straight line for each group, of a constant where a group has one level."""
+    slopes = dummies * x[:, None]
+    sloped = [np.ptp(x[own > 0]) > 0 for own in dummies.T]
+    return np.column_stack([dummies, slopes[:, sloped]])
+
+
 def _off_line(x: np.ndarray, dummies: np.ndarray) -> np.ndarray:
-    """Projector (n, n) onto what intercepts and one slope cannot explain."""
-    q, _ = np.linalg.qr(np.column_stack([dummies, x]))
+    """Projector (n, n) onto what the groups' straight lines cannot explain."""
+    q, _ = np.linalg.qr(_lines(x, dummies))
     return np.asarray(np.eye(len(x)) - q @ q.T)
 
 
@@ -69,8 +77,7 @@ def _unit_hinges(x: np.ndarray, off_line: np.ndarray, breakpoints: np.ndarray) -
 def fit_piecewise(x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None) -> PiecewiseFit:
     """Least squares over breakpoint and slopes: a grid, then a local search around its best point.
 
-    ``x``, ``y`` (n,); ``groups`` (n,) labels with an intercept each. Raises ValueError below five levels of
-    x.
+    ``x``, ``y`` (n,); ``groups`` (n,) labels with a straight line each. Raises ValueError below five levels of x.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     dummies = _dummies(len(x), groups)
@@ -85,17 +92,17 @@ def fit_piecewise(x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None
         options={"xatol": 1e-10 * np.ptp(x)},
     )
     c = float(local.x) if -local.fun > reductions[best] else float(grid[best])
-    design = np.column_stack([dummies, np.minimum(0.0, x - c), np.maximum(0.0, x - c)])
+    lines, k = _lines(x - c, dummies), dummies.shape[1]
+    design = np.column_stack([lines, np.maximum(0.0, x - c)])
     beta = np.linalg.lstsq(design, y, rcond=None)[0]
+    slope = float(beta[k:-1].mean())
     sse = float(np.sum((y - design @ beta) ** 2))
     sse_line = float(np.sum((off_line @ y) ** 2))
-    freedom = len(x) - dummies.shape[1] - 2
+    freedom = len(x) - design.shape[1]
     # Exact data leave no residual; the statistic is then as large as rounding allows.
     floor = np.finfo(float).eps * max(float(np.sum(y**2)), np.finfo(float).tiny)
     f = max(sse_line - sse, 0.0) / max(sse / freedom, floor)
-    return PiecewiseFit(
-        c, float(beta[-2]), float(beta[-1]), float(beta[:-2].mean()), sse, sse_line, f, len(x)
-    )
+    return PiecewiseFit(c, slope, slope + float(beta[-1]), float(beta[:k].mean()), sse, sse_line, f, len(x))
 
 
 def _shuffled(size: int, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -110,9 +117,9 @@ def _shuffled(size: int, labels: np.ndarray, rng: np.random.Generator) -> np.nda
 def breakpoint_p_value(
     x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None, *, permutations: int, seed: int
 ) -> float:
-    """Return the permutation p-value of sup-F of a breakpoint against a straight line, for x, y and groups (n,).
+    """Return the permutation p-value of sup-F of a breakpoint against straight lines, for x, y and groups (n,).
 
-    Residuals of the straight line are permuted within groups (Freedman & Lane 1983) and the largest reduction
+    Residuals of each group's straight line are permuted within groups (Freedman & Lane 1983) and the largest reduction
     over the grid is compared: the search over breakpoints is part of the null distribution (Andrews 1993).
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
@@ -153,7 +160,7 @@ def breakpoint_interval(
     dummies, grid = _dummies(len(x), groups), _candidates(x)
     fit = fit_piecewise(x, y, groups)
     hinge = np.maximum(0.0, x - fit.breakpoint)
-    design = np.column_stack([dummies, x, hinge])
+    design = np.column_stack([_lines(x, dummies), hinge])
     fitted = design @ np.linalg.lstsq(design, y, rcond=None)[0]
     residual = (y - fitted) * np.sqrt(len(x) / (len(x) - design.shape[1] - 1))
     draws = np.random.default_rng(seed).integers(0, len(x), (bootstrap, len(x)))
@@ -164,34 +171,28 @@ def breakpoint_interval(
 
 def _within_products(
     x: np.ndarray, y: np.ndarray, dummies: np.ndarray, grid: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Sums of products about each group's means, (groups,) or (groups, grid)."""
-    counts = dummies.sum(axis=0)
-
-    def centre(v: np.ndarray) -> np.ndarray:
-        return np.asarray(v - dummies @ ((dummies.T @ v) / (counts if v.ndim == 1 else counts[:, None])))
-
-    xc, yc, hc = centre(x), centre(y), centre(np.maximum(0.0, x[:, None] - grid))
-    return {
-        "xx": dummies.T @ xc**2,
-        "xy": dummies.T @ (xc * yc),
-        "xh": dummies.T @ (xc[:, None] * hc),
-        "hh": dummies.T @ hc**2,
-        "hy": dummies.T @ (hc * yc[:, None]),
-    }
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return h.h and h.y (groups, grid) of the hinges after projection off each group's straight line."""
+    off_line = _off_line(x, dummies)
+    hinges = off_line @ np.maximum(0.0, x[:, None] - grid)
+    return dummies.T @ hinges**2, dummies.T @ (hinges * y[:, None])
 
 
 def breakpoint_interval_by_group(
     x: np.ndarray, y: np.ndarray, groups: np.ndarray, *, bootstrap: int, seed: int, confidence: float
 ) -> tuple[float, float]:
-    """Return the percentile interval of the shared breakpoint of x, y (n,), resampling whole groups (n,), persons."""
+    """Return the percentile interval of the shared breakpoint of x, y (n,), resampling whole groups (n,), persons.
+
+    Resamples of people none of whom can show a bend are left out; NaN where all are.
+    """
     x, y = np.asarray(x, float), np.asarray(y, float)
     dummies, grid = _dummies(len(x), groups), _candidates(x)
     k = dummies.shape[1]
     draws = np.random.default_rng(seed).multinomial(k, np.full(k, 1 / k), size=bootstrap).astype(float)
-    s = {name: draws @ products for name, products in _within_products(x, y, dummies, grid).items()}
-    slope = s["xy"] / s["xx"]
-    length = s["hh"] - s["xh"] ** 2 / s["xx"][:, None]
-    usable = length > 1e-12 * s["xx"][:, None]
-    reduction = (s["hy"] - s["xh"] * slope[:, None]) ** 2 / np.where(usable, length, np.inf)
-    return _percentiles(grid[np.argmax(reduction, axis=1)], confidence)
+    length, along = (draws @ products for products in _within_products(x, y, dummies, grid))
+    usable = length > 1e-12 * np.ptp(x) ** 2
+    reduction = along**2 / np.where(usable, length, np.inf)
+    told = usable.any(axis=1)
+    if not told.any():
+        return np.nan, np.nan
+    return _percentiles(grid[np.argmax(reduction[told], axis=1)], confidence)

@@ -335,6 +335,16 @@ def test_tables_ii_and_iii_count_the_seeds_with_a_value_and_who_stayed_up(study,
     assert "knee & prior, simulated & 1 & 8/24 & 31.0 &" in out[5].read_text("utf-8")
 
 
+def test_walks_of_a_synthetic_person_say_so_whatever_the_priors_rest_on(tmp_path):
+    given = write_study(tmp_path, phantom=False)
+    out = write_paper(tmp_path, given, write_twin(tmp_path / "twin"))
+    for path in (out[2], out[4]):
+        ours = [row for row in read_table(path) if row["seeds"]]
+        assert {row["phantom"] for row in ours} == {"true"}, path.name
+    assert all("phantom" in path.read_text("utf-8").lower() for path in (out[3], out[5]))
+    assert "phantom" not in out[1].read_text("utf-8").lower(), "its priors are those of people"
+
+
 def test_a_published_prior_is_not_printed_as_one_of_the_fits(tmp_path):
     write_study(tmp_path, people=1)
     rows = read_table(tmp_path / "paper" / "table1_priors.csv")

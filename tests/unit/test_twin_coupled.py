@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from real2sim.configuration import validated
 from real2sim.geometry import angles_xyz, relative_pose, rotation_xyz
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages.twin import gait_figure, interface_figure, speed_figure, wrench_figure
-from real2sim.study.twin import adaptation
+from real2sim.study.twin import adaptation, stage
 from real2sim.study.twin.coupled import (
     Condition,
     CoupledWalk,
@@ -260,6 +261,12 @@ def test_the_cloud_of_a_known_sway():
     # 95 % of a normal cloud: 2.4477 standard deviations along each axis
     np.testing.assert_allclose(cloud["ellipse"]["semi_axes_mm"], 2.4477 * np.array([9, 3]), rtol=0.02)
     assert abs(abs(cloud["ellipse"]["angle_deg"]) - 90) < 2
+    # a short trial counts as one, and shortens no other
+    short = recording.interface[0][:200]
+    mixed = adaptation.cloud([*recording.interface, short], 125.0, 12.0, 4)
+    assert mixed["trials"] == cloud["trials"] + 1
+    assert mixed["sigma_mm"][1] == pytest.approx(9, rel=0.06)
+    assert adaptation.cloud([short[:20]], 125.0, 12.0, 4) == {"trials": 0}
     gone = np.full((2, 500, 6), np.nan)
     assert adaptation.cloud(gone, 125.0, 12.0, 4) == {"trials": 0}
 
@@ -283,12 +290,45 @@ def test_the_wrench_over_the_cycle_beside_a_measured_one():
     assert found["tx"]["rms_ratio"] == pytest.approx(0.5, rel=0.01)
     assert found["tx"]["r"] == pytest.approx(1, abs=1e-3)
     assert found["tx"]["phase_percent"] == 10
+    # what repeats every step agrees half a cycle away as well: noise must not say which
+    twice = np.zeros((1, 101, 6))
+    twice[0, :, 0] = np.cos(4 * np.pi * np.arange(101) / 100)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        late = np.roll(twice[:, :-1], 3, axis=1) + 0.02 * rng.standard_normal((1, 100, 6))
+        late = np.concatenate([late, late[:, :1]], axis=1)
+        assert abs(adaptation.wrench_of(late, twice)["tx"]["phase_percent"] - 3) <= 1
     assert found["ty"]["r"] == 0
     # a stride with a gap in the log is left out
     gap = other.copy()
     gap[0, 50] = np.nan
     assert adaptation.wrench_of(cycles, gap)["tx"]["rms_ratio"] == pytest.approx(0.5, rel=0.01)
     assert adaptation.wrench_of(np.empty((0, 101, 6))) == {}
+
+
+def test_who_fell_counts_in_no_free_walk(monkeypatch):
+    recording = _steady(np.array([0.003, 0.009, 0.002]))
+    recording.alive[0] = False
+    # who falls stumbles before: a range of motion of half the size
+    for curve in recording.joints.values():
+        curve[0] *= 0.5
+
+    class Walks:
+        def __init__(self, learnt, **options):
+            pass
+
+        def run(self, seconds):
+            return recording
+
+    monkeypatch.setattr(stage, "FreeWalk", Walks)
+    learnt = SimpleNamespace(reference=SimpleNamespace(speeds=None))
+    twin = {"coupled": {"walkers": 3, "settle_s": 2.0, "speed_caps": [], "walk_s": 10.0}}
+    free = stage._free(learnt, twin, 0.9, SimpleNamespace(cycles={}), 1)["free"]
+    assert (free["walkers"], free["survived"]) == (3, 2)
+    goal = np.ptp(np.degrees(reference().curve("hip_flexion_r")))
+    assert free["hip_flexion"]["rom_deg"] == pytest.approx([goal, 0.0], abs=0.3)
+    rows = walk_rows("S06", _record() | {"free": free})
+    assert [(r["survived"], r["walkers"]) for r in rows if r["condition"] == "free"] == [(2, 3)]
 
 
 def test_free_walkers_are_recorded_in_the_same_way():

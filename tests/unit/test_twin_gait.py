@@ -18,6 +18,7 @@ from real2sim.study.twin.gait import (
     read_walk,
     settled,
     strides,
+    whole_strides,
 )
 from real2sim.study.twin.human import JOINTS
 from real2sim.study.twin.policy import load_reference, save_reference
@@ -42,9 +43,12 @@ def _tables(
     drop: str = "",
     offset: float = 0.0,
     heading: float = 0.0,
+    lost: tuple[float, float] = (0.0, 0.0),
+    stands_s: float = 0.0,
 ):
     """Canonical tables of a walk with the right heel striking at 0.3 s + k strides, the left half a stride later."""
     time_s = np.arange(0, duration, 1 / RATE)
+    quiet = round(stands_s * RATE)
     curves = measured_curves()
     phase = np.arange(PHASES + 1) / PHASES
 
@@ -71,9 +75,13 @@ def _tables(
         for side, first in (("R", 0.3), ("L", 0.9)):
             # a standing heel is 0.25 m ahead of the pelvis when it lands
             markers |= {f"{side}HEE_x": _heel(time_s, first) + SPEED * first + 0.25, f"{side}HEE_y": ones}
+        gone = (time_s >= lost[0]) & (time_s < lost[1])
+        markers["RHEE_x"] = np.where(gone, np.nan, markers["RHEE_x"])
     folder.mkdir(parents=True)
     meta = {"real2sim": json.dumps({"subject": "S01", "trial": folder.name, "phantom": True})}
-    for name, table in (("joints", columns), ("pose", pose), ("markers", markers)):
+    for name, values in (("joints", columns), ("pose", pose), ("markers", markers)):
+        table = {k: np.concatenate([np.full(quiet, v[0]), v]) for k, v in values.items()}
+        table["time_s"] = np.arange(len(table["time_s"])) / RATE
         pq.write_table(pa.table(table).replace_schema_metadata(meta), folder / f"{name}.parquet")
     return folder
 
@@ -85,7 +93,9 @@ def test_strikes_are_where_the_heel_is_farthest_ahead():
     np.testing.assert_allclose(found, 0.437 + 1.1 * np.arange(9), atol=1e-4)
     gap = ahead.copy()
     gap[100:130] = np.nan
-    assert len(heel_strikes(time_s, gap)) >= 7
+    found = heel_strikes(time_s, gap)
+    assert len(found) >= 7
+    assert np.abs(np.mod(found - 0.437 + 0.55, 1.1) - 0.55).max() < 1e-3, "no edge of the gap is a strike"
 
 
 def test_a_strike_waits_until_the_heel_stands():
@@ -107,6 +117,40 @@ def test_a_walk_by_heel_markers(tmp_path):
     assert walk.stride_s == pytest.approx(STRIDE, abs=2e-3)
     error = np.mod(walk.strikes["r"] - 0.3 + STRIDE / 2, STRIDE) - STRIDE / 2
     assert np.abs(error).max() < 0.02
+
+
+@pytest.mark.parametrize("lost", [(3.6, 4.1), (3.8, 4.0), (3.2, 4.6)])
+def test_a_strike_that_was_not_seen_makes_no_long_stride(tmp_path, lost):
+    """A heel marker is hidden where the right heel strikes (at 3.9 s), and the stride before and after with it."""
+    walk = read_walk(_tables(tmp_path / "walk_normal_1", lost=lost), WHO)
+    whole = read_walk(_tables(tmp_path / "walk_normal_2"), WHO)
+    assert walk.stride_s == pytest.approx(STRIDE, abs=5e-3)
+    assert walk.speed == pytest.approx(whole.speed, rel=2e-3)
+    lasts = [b - a for a, b in whole_strides(walk.strikes["r"])]
+    assert np.abs(np.array(lasts) - STRIDE).max() < 0.03
+    assert len(lasts) < len(whole_strides(whole.strikes["r"]))
+    told, all_told = (measured_cycle([w])[0] for w in (walk, whole))
+    assert np.degrees(np.ptp(told["knee_angle"])) == pytest.approx(
+        np.degrees(np.ptp(all_told["knee_angle"])), abs=0.3
+    )
+
+
+def test_a_long_stand_before_a_walk_changes_no_strike(tmp_path):
+    at_once = read_walk(_tables(tmp_path / "walk_normal_1"), WHO)
+    later = read_walk(_tables(tmp_path / "walk_normal_2", stands_s=15.0), WHO)
+    np.testing.assert_allclose(later.strikes["r"] - 15.0, at_once.strikes["r"], atol=0.011)
+    assert later.speed == pytest.approx(at_once.speed, rel=5e-3)
+
+
+def test_a_strike_at_the_very_end_is_none():
+    """The heel has not come to rest when the record ends: when it would have is not known."""
+    time_s = np.arange(0, 6.29, 0.01)
+    heel = _heel(time_s, 0.3)
+    peaks = heel_strikes(time_s, heel - SPEED * time_s)
+    assert peaks[-1] == pytest.approx(6.265, abs=0.01)
+    late = settled(time_s, heel, peaks, SPEED)
+    assert len(late) == len(peaks) - 1
+    assert np.diff(late) == pytest.approx(STRIDE, abs=0.02)
 
 
 def test_a_walk_without_heel_markers(tmp_path):

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
+from real2sim.recording.subjects import SYNTHETIC_NOTICE
 from real2sim.study.twin.human import (
     COMMANDED,
     FREE_DOFS,
@@ -15,6 +16,7 @@ from real2sim.study.twin.human import (
     SPHERE_RADIUS,
     Body,
     add_floor,
+    body_of,
     human_spec,
     qpos_of,
     twin_human,
@@ -178,6 +180,16 @@ def test_mjcf_of_a_subject_file(tmp_path):
     assert model.nv == 27
     assert model.body_subtreemass[1] == pytest.approx(66.0, rel=1e-5)
     assert "phantom" in (tmp_path / "human.xml").read_text()
+
+
+def test_whose_recordings_are_synthetic_is_a_phantom_whatever_subject_yaml_says(tmp_path):
+    """A record of one's own beside the phantom's exports must not make measured people of them."""
+    person = tmp_path / "subject.yaml"
+    person.write_text(yaml.safe_dump({"height_m": 1.7, "mass_kg": 66.0, "sex": "female"}))
+    (tmp_path / "walk_normal_1.tsv").write_text("NO_OF_FRAMES\t100\n")
+    assert not body_of(person)[1]
+    (tmp_path / "walk_normal_1.tsv").write_text(f"NO_OF_FRAMES\t100\nDESCRIPTION\t{SYNTHETIC_NOTICE}\n")
+    assert body_of(person)[1]
 
 
 def _creep(cone: mujoco.mjtCone | None = None) -> float:

@@ -151,14 +151,20 @@ def read_subject(folder: Path) -> Subject:
 
 def _any_synthetic(trials: Iterable[TrialFiles]) -> bool:
     """Return whether the head of some export of trials says that it is synthetic; unreadable files say nothing."""
-    for path in (path for files in trials for path in (files.markers, files.markerless)):
-        try:
-            with path.open("rb") as stream:
-                if SYNTHETIC_NOTICE.encode() in stream.read(_HEAD_BYTES):
-                    return True
-        except OSError:
-            continue
-    return False
+    return any(_says_synthetic(path) for files in trials for path in (files.markers, files.markerless))
+
+
+def holds_synthetic(folder: Path) -> bool:
+    """Return whether the head of some file of a person's folder says that it is synthetic; nothing else is checked."""
+    return any(_says_synthetic(path) for path in sorted(folder.iterdir()) if path.is_file())
+
+
+def _says_synthetic(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return SYNTHETIC_NOTICE.encode() in stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
 
 
 # -------------------- subject.yaml

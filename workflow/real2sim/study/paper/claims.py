@@ -916,13 +916,19 @@ def claims(
         coverage=read_table(coverage) if coverage else [],
         refined=[read_json(path, ("subject", "status")) for path in refined or []],
         walks=_walks(subject, gait, interface, human),
-        phantom=any(row["phantom"] == "true" for row in icc_rows),
     )
+    evidence.phantom = _on_phantom(evidence)
     rows = judge(evidence, next(path for path in published if path.stem == "claims"))
     write_table(out, COLUMNS, rows)
     write_text(out_tex, _latex(rows, evidence.phantom))
     values = {row["claim"]: row["here"] for row in rows if row["here"] is not None}
     write_text(out_numbers, macros(values, phantom=evidence.phantom))
+
+
+def _on_phantom(e: Evidence) -> bool:
+    """Return whether any result that claims are judged by rests on synthetic people."""
+    tables = (*e.icc, *e.walks.gait, *e.walks.interface)
+    return any(row.get("phantom") == "true" for row in tables) or any(r.get("phantom") for r in e.refined)
 
 
 def _walks(subject: str, gait: Path | None, interface: Path | None, human: Path | None) -> Walks:

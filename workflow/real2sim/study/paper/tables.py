@@ -176,8 +176,9 @@ def paper_tables(
     phantom = any(row["phantom"] == "true" for row in prior_rows)
     walked = _compared(read_table(gait), subject) if gait else []
     clouds = _compared(read_table(interface), subject) if interface else []
-    table2 = interface_rows(clouds, theirs["table2_interface"], phantom)
-    table3 = gait_rows(walked, theirs["table3_gait"], phantom)
+    walks = phantom or any(row["phantom"] == "true" for row in (*walked, *clouds))
+    table2 = interface_rows(clouds, theirs["table2_interface"], walks)
+    table3 = gait_rows(walked, theirs["table3_gait"], walks)
     costs = read_table(cross_trial, ("subject", "status"))
 
     write_table(files["table1_priors.csv"], list(prior_rows[0]), prior_rows)
@@ -186,8 +187,8 @@ def paper_tables(
     write_table(files["cross_trial.csv"], list(costs[0]), costs)
     for name, text in {
         "table1_priors.tex": _priors_tex(prior_rows, phantom),
-        "table2_interface.tex": _interface_tex(table2, subject, phantom),
-        "table3_gait.tex": _gait_tex(table3, subject, phantom),
+        "table2_interface.tex": _interface_tex(table2, subject, walks),
+        "table3_gait.tex": _gait_tex(table3, subject, walks),
         "cross_trial.tex": _cross_trial_tex(costs, phantom),
     }.items():
         write_text(files[name], text)

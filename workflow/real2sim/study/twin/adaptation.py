@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +12,7 @@ import scipy
 from real2sim.geometry import AXES, rotation_xyz
 from real2sim.signals import lowpass
 from real2sim.study.twin.coupled import Recording
-from real2sim.study.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides
+from real2sim.study.twin.gait import SAGITTAL, Walk, heel_strikes, settled, strides, whole_strides
 from real2sim.study.twin.human import FEET
 
 JOINT_NAMES = dict(zip(SAGITTAL, ("hip", "knee", "ankle"), strict=True))
@@ -67,7 +68,8 @@ def gait_of(recording: Recording, settle_s: float) -> dict[str, Any]:
 
     ``speed_m_per_s`` of the pelvis, ``stride_m``, ``cadence_per_min`` (steps), ``stride_speed_m_per_s`` (stride times
     half the cadence), ``stance_slip_m_per_s`` (RMS speed of the heel over the floor from foot flat to heel off,
-    ``_FLAT`` of the cycle), ``pelvis_rotation_deg`` (range of the heading within a stride), ``robot_speed_m_per_s``.
+    ``_FLAT`` of the cycle), ``pelvis_rotation_deg`` (range of the heading within a stride), ``robot_speed_m_per_s``
+    (None without a robot).
     """
     rows = []
     for row in range(len(recording.alive)):
@@ -90,7 +92,7 @@ def gait_of(recording: Recording, settle_s: float) -> dict[str, Any]:
         "stride_speed_m_per_s": float(length / lasts),
         "stance_slip_m_per_s": float(np.sqrt(slip_sq)),
         "pelvis_rotation_deg": float(turn),
-        "robot_speed_m_per_s": float(robot),
+        "robot_speed_m_per_s": float(robot) if np.isfinite(robot) else None,
     }
 
 
@@ -120,7 +122,7 @@ def measured_gait(walks: list[Walk]) -> dict[str, Any]:
         np.degrees(w.joints["pelvis_rotation"][(w.time_s >= a) & (w.time_s <= b)])
         for w in walks
         for side in FEET
-        for a, b in pairwise(w.strikes[side])
+        for a, b in whole_strides(w.strikes[side])
     ]
     turns = [np.nanmax(h) - np.nanmin(h) for h in headings if np.isfinite(h).any()]
     return {
@@ -155,8 +157,8 @@ def describe(cycles: dict[str, np.ndarray], other: dict[str, np.ndarray] | None 
     return out
 
 
-def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[str, Any]:
-    """Spread of the interface midpoint relative to the pelvis over trials q (m, n, 6) [m, rad]; NaN where unknown.
+def cloud(q: Iterable[np.ndarray], rate_hz: float, cutoff_hz: float, order: int) -> dict[str, Any]:
+    """Spread of the interface midpoint relative to the pelvis over trials q, (n, 6) each [m, rad]; NaN where unknown.
 
     Low-passed, each trial about its own mean. ``sigma_mm`` x, y, z (mean over trials, SD), ``gamma`` = sigma_x /
     sigma_y of the means, the 95 % ellipse of the pooled x-y cloud (paper, section V-C.1), and ``points_mm``, samples of
@@ -164,6 +166,8 @@ def cloud(q: np.ndarray, rate_hz: float, cutoff_hz: float, order: int) -> dict[s
     """
     centred, sigmas = [], []
     for trial in q:
+        if len(trial) <= rate_hz:
+            continue
         smooth = lowpass(trial[:, :3], rate_hz, cutoff_hz, order)
         known = smooth[np.isfinite(smooth).all(axis=1)]
         if len(known) > rate_hz:
@@ -262,11 +266,15 @@ def wrench_of(cycles: np.ndarray, other: np.ndarray | None = None) -> dict[str, 
 
 
 def _agreement(ours: np.ndarray, theirs: np.ndarray) -> tuple[float, float]:
-    """Return the best correlation of two curves (101,) over a cycle, and the lateness of the first there [%]."""
+    """Return the best correlation of two curves (101,) over a cycle, and the lateness of the first there [%].
+
+    Within a quarter of a cycle either way: a force that repeats every step agrees as well half a cycle away.
+    """
     one, other = ours[:-1] - ours[:-1].mean(), theirs[:-1] - theirs[:-1].mean()
     scale = np.linalg.norm(one) * np.linalg.norm(other)
     if not scale:
         return 0.0, 0.0
-    r = np.array([np.roll(one, -k) @ other for k in range(len(one))]) / scale
+    lags = np.arange(-(len(one) // 4), len(one) // 4 + 1)
+    r = np.array([np.roll(one, -k) @ other for k in lags]) / scale
     best = int(np.argmax(r))
-    return float(r[best]), float(best - len(one) if best > len(one) / 2 else best)
+    return float(r[best]), float(lags[best])

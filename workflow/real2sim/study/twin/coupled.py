@@ -141,7 +141,7 @@ class Recording:
     ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead`` of the pelvis, ``heel_along`` and ``heel_across`` in
     the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_yaw`` [rad]; ``interface`` (m, n, 6) strap
     coordinates q; ``wrench`` (m, n, 6) of springs and dampers of the strap on the interface along them [N, Nm], without
-    the stops; ``base_speed`` of the robot [m/s]; ``alive``, ``survived_s`` (m,).
+    the stops; ``base_speed`` of the robot [m/s], NaN without one; ``alive``, ``survived_s`` (m,).
     """
 
     time_s: np.ndarray
@@ -283,7 +283,9 @@ class _Walkers:
     def _recorded(self, record: dict[str, np.ndarray], first: int) -> dict[str, np.ndarray]:
         """Return what is kept of a rollout, (n, substeps, columns) by name; ``first`` column of the sensors."""
         base = (
-            np.zeros((self.n, self.substeps, 1)) if self._base is None else record["qvel"][..., [self._base]]
+            np.full((self.n, self.substeps, 1), np.nan)
+            if self._base is None
+            else record["qvel"][..., [self._base]]
         )
         return {
             "sensor": record["sensordata"][..., first : first + _SENSORS],

@@ -41,6 +41,8 @@ SAGITTAL = ("hip_flexion", "knee_angle", "ankle_angle")
 # Speeds of a reference that are nearer than this are the same [share of the own speed]
 _LEAST_APART = 0.01
 _STEADY = 0.92  # share of the fastest stride's speed from which a stride counts as steady
+_LANDS_S = 0.15  # how long after being farthest ahead a heel has come to rest [s]
+_LONGEST = 1.5  # of the median stride: what lasts longer holds a strike that was not seen
 
 
 # -------------------- strikes and mean cycles
@@ -49,8 +51,8 @@ _STEADY = 0.92  # share of the fastest stride's speed from which a stride counts
 def heel_strikes(time_s: np.ndarray, heel_ahead: np.ndarray, stride_hint_s: float = 1.1) -> np.ndarray:
     """Times of heel strike: where the heel is farthest ahead of the pelvis (Zeni et al., Gait Posture 27 (2008) 710).
 
-    ``heel_ahead`` (n,) is the heel's distance ahead of the pelvis [m] along the path; NaN where unknown. Peaks are
-    interpolated by a parabola.
+    ``heel_ahead`` (n,) is the heel's distance ahead of the pelvis [m] along the path; NaN where unknown. The edge of
+    what is unknown is no strike. Peaks are interpolated by a parabola.
     """
     rate = 1 / float(time_s[1] - time_s[0])
     filled = np.where(np.isfinite(heel_ahead), heel_ahead, -np.inf)
@@ -64,8 +66,10 @@ def heel_strikes(time_s: np.ndarray, heel_ahead: np.ndarray, stride_hint_s: floa
     out = []
     for i in peaks:
         left, middle, right = filled[i - 1 : i + 2]
+        if not np.isfinite([left, right]).all():
+            continue
         bend = left - 2 * middle + right
-        shift = 0.5 * (left - right) / bend if np.isfinite(bend) and bend < 0 else 0.0
+        shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
         out.append(time_s[i] + shift / rate)
     return np.array(out)
 
@@ -74,15 +78,32 @@ def settled(time_s: np.ndarray, heel_along: np.ndarray, peaks: np.ndarray, speed
     """Strikes (k,) [s] put off to where the heel has come to rest: below a tenth of ``speed``, at most 0.15 s later.
 
     The heel is farthest ahead shortly before it lands, the sooner the softer it lands. ``heel_along`` (n,) is the
-    heel's place along the path [m].
+    heel's place along the path [m]. A strike is left out where the record ends before its heel rests.
     """
     velocity = np.gradient(heel_along, time_s)
     out = []
     for peak in peaks:
-        window = np.flatnonzero((time_s >= peak) & (time_s <= peak + 0.15))
+        window = np.flatnonzero((time_s >= peak) & (time_s <= peak + _LANDS_S))
         slow = window[velocity[window] < 0.1 * speed]
-        out.append(time_s[slow[0]] if len(slow) else peak)
+        if len(slow) or peak + _LANDS_S <= time_s[-1]:
+            out.append(time_s[slow[0]] if len(slow) else peak)
     return np.array(out)
+
+
+def whole_strides(strikes: np.ndarray) -> list[tuple[float, float]]:
+    """Return start and end [s] of the strides between strikes (s,) [s], none where a strike was not seen.
+
+    That is where a stride would last more than one and a half times as long as the median one.
+    """
+    lasts = np.diff(strikes)
+    usual = _LONGEST * np.median(lasts) if len(lasts) else 0.0
+    return [(float(a), float(b)) for a, b in pairwise(strikes) if b - a <= usual]
+
+
+def walking_speed(time_s: np.ndarray, along: np.ndarray) -> float:
+    """Return the usual speed [m/s] of a walk along its path (n,) [m], however long it stands before and after."""
+    speed = np.gradient(along, time_s)
+    return float(np.nanmedian(speed[speed >= 0.5 * np.nanpercentile(speed, 90)]))
 
 
 def foot_ahead(joints: Mapping[str, np.ndarray], side: str, thigh: float, shank: float) -> np.ndarray:
@@ -106,7 +127,7 @@ class Walk:
     @property
     def stride_s(self) -> float:
         """Mean stride time [s]."""
-        return float(np.mean(np.concatenate([np.diff(s) for s in self.strikes.values()])))
+        return float(np.mean([b - a for s in self.strikes.values() for a, b in whole_strides(s)]))
 
 
 def read_walk(folder: Path, body: Body) -> Walk:
@@ -150,15 +171,14 @@ def read_walk(folder: Path, body: Body) -> Walk:
         if f"{name}_x" in markers.column_names:
             heel = np.column_stack([markers[f"{name}_{c}"].to_numpy() for c in "xy"])
             peaks = heel_strikes(time_s, (heel - pelvis) @ direction)
-            typical = float(np.nanmedian(np.gradient(along, time_s)))
-            strikes[side] = settled(time_s, heel @ direction, peaks, typical)
+            strikes[side] = settled(time_s, heel @ direction, peaks, walking_speed(time_s, along))
         else:
             source = "hip and knee angles"
             ahead = foot_ahead(joints, side, body.length("thigh"), body.length("shank"))
             strikes[side] = heel_strikes(time_s, ahead)
     strikes, speed = _steady(time_s, along, strikes)
-    if any(len(s) < 3 for s in strikes.values()):
-        found = ", ".join(f"{side}: {max(len(s) - 1, 0)}" for side, s in strikes.items())
+    if any(len(whole_strides(s)) < 2 for s in strikes.values()):
+        found = ", ".join(f"{side}: {len(whole_strides(s))}" for side, s in strikes.items())
         raise InputError(
             path,
             "",
@@ -193,15 +213,22 @@ def _steady(
 ) -> tuple[dict[str, np.ndarray], float]:
     """Strikes within the steady stretch of the walk, and the mean speed over whole strides [m/s]."""
     good = np.isfinite(along)
-    place = {side: np.interp(s, time_s[good], along[good]) for side, s in strikes.items()}
-    speeds = {side: np.diff(place[side]) / np.diff(s) for side, s in strikes.items() if len(s) > 1}
+    found = {side: whole_strides(s) for side, s in strikes.items()}
+    speeds = {
+        side: np.diff(np.interp(np.array(of), time_s[good], along[good]), axis=1)[:, 0]
+        / np.diff(of, axis=1)[:, 0]
+        for side, of in found.items()
+        if of
+    }
     if not speeds:
         return strikes, np.nan
     fastest = np.max(np.concatenate(list(speeds.values())))
     out = {}
     for side, s in strikes.items():
-        keep = np.flatnonzero(speeds.get(side, np.empty(0)) > _STEADY * fastest)
-        out[side] = s[keep[0] : keep[-1] + 2] if len(keep) else s[:0]
+        steady = [
+            of for of, v in zip(found[side], speeds.get(side, ()), strict=False) if v > _STEADY * fastest
+        ]
+        out[side] = s[(s >= steady[0][0]) & (s <= steady[-1][1])] if steady else s[:0]
     kept = np.concatenate([v[v > _STEADY * fastest] for v in speeds.values()])
     return out, float(kept.mean())
 
@@ -209,10 +236,10 @@ def _steady(
 def strides(time_s: np.ndarray, values: np.ndarray, strikes: np.ndarray, phases: int = 101) -> np.ndarray:
     """Return each stride of a signal (n,) resampled to 0-100 %, (k, phases); strides with a gap are left out.
 
-    ``time_s`` (n,) and ``strikes`` (s,) [s]: k is less than s.
+    ``time_s`` (n,) and ``strikes`` (s,) [s], of which `whole_strides` are taken.
     """
     out = []
-    for start, end in pairwise(strikes):
+    for start, end in whole_strides(strikes):
         at = np.linspace(start, end, phases)
         row = np.interp(at, time_s, values)
         if np.isfinite(row).all():

@@ -21,6 +21,7 @@ import numpy as np
 
 from real2sim.configuration import read_yaml
 from real2sim.files import write_text
+from real2sim.recording.subjects import holds_synthetic
 
 if TYPE_CHECKING:
     from real2sim.settings import TwinHumanContactSettings, TwinHumanSettings, TwinSettings
@@ -442,10 +443,10 @@ def qpos_of(coordinates: dict[str, float], who: Body) -> np.ndarray:
 
 
 def body_of(person: Path) -> tuple[Body, bool]:
-    """Return the person of a subject.yaml, and whether they are the phantom's."""
+    """Return the person of a subject.yaml, and whether it, or a recording beside it, says that they are synthetic."""
     facts = read_yaml(person)
     who = Body(float(facts["height_m"]), float(facts["mass_kg"]), str(facts["sex"]))
-    return who, bool(facts.get("phantom", False))
+    return who, bool(facts.get("phantom", False)) or holds_synthetic(person.parent)
 
 
 def twin_human(*, person: Path, settings: TwinSettings, out: Path) -> None:

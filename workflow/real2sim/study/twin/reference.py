@@ -10,7 +10,14 @@ import numpy as np
 
 from real2sim.artefacts import write_json
 from real2sim.provenance import fingerprint, provenance
-from real2sim.study.twin.gait import Walk, make_reference, measured_cycle, read_walk, with_speeds
+from real2sim.study.twin.gait import (
+    Walk,
+    make_reference,
+    measured_cycle,
+    read_walk,
+    whole_strides,
+    with_speeds,
+)
 from real2sim.study.twin.human import Body, body_of
 from real2sim.study.twin.policy import save_reference
 
@@ -91,7 +98,7 @@ def twin_reference(
             "phantom": phantom or any(w.phantom for w in trials),
             "trials": [folder.name for folder in walks],
             "strikes_from": sorted({w.strikes_from for w in trials}),
-            "strides": {side: sum(len(w.strikes[side]) - 1 for w in trials) for side in "rl"},
+            "strides": {side: sum(len(whole_strides(w.strikes[side])) for w in trials) for side in "rl"},
             "asymmetry_rms_deg": asymmetry,
             "cadence_exponent": exponent,
             **reference.report,

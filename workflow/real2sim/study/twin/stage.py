@@ -129,6 +129,11 @@ class Measured:
         logged = [_logged_wrench(folder) for folder in assisted]
         return cls(walks, cycles, adaptation.measured_wrench_cycles(walks["walk_robot"], logged), rest)
 
+    @property
+    def phantom(self) -> bool:
+        """Whether any of the walks is a synthetic person's."""
+        return any(walk.phantom for found in self.walks.values() for walk in found)
+
     def describe(self, assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
         """Return joints, gait, cloud and wrench of the measured walks; ``filters`` is the slice ``ingest``."""
         described = {name: adaptation.describe(cycles) for name, cycles in self.cycles.items()}
@@ -229,9 +234,11 @@ def twin_coupled(
         recording = _walk(learnt, asked, machine, interface, settings, threads)
         conditions += _compare(recording, asked, machine, cap, person, settings)
     about = read_json(record, ("phantom", "seed"))
+    synthetic = about["phantom"] or person.phantom or _any_phantom(priors, fits)
     sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
-        **{name: about[name] for name in ("phantom", "seed")},
+        "phantom": synthetic,
+        "seed": about["seed"],
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
         **_free(learnt, twin, cap, person, threads),
@@ -242,6 +249,14 @@ def twin_coupled(
         "provenance": provenance(sources, PACKAGES, fingerprint(__name__)),
     }
     write_json(out, plain(content))
+
+
+def _any_phantom(priors: Path, fits: list[Path]) -> bool:
+    """Return whether priors or fits rest on synthetic people; the published priors do not."""
+    rows = read_table(priors, ("parameter", "prior"))
+    return any(row.get("phantom") == "true" for row in rows) or any(
+        bool(read_json(path).get("phantom", False)) for path in fits
+    )
 
 
 def load_walker(path: Path, coupled: TwinCoupledSettings) -> Policy:
@@ -322,16 +337,18 @@ def _free(
     shares = [1.0, *(caps if learnt.reference.speeds is not None else [])]
     walk = FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads, shares=shares)
     recording, real = walk.run(coupled["walk_s"]), person.cycles
-    joints, gaits = [], []
+    joints, gaits, upright = [], [], []
     for k in range(len(shares)):
         part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
         beside = real.get("walk_robot" if k else "walk_normal")
+        upright.append({"walkers": walkers, "survived": int(part.alive.sum())})
+        part = part.of(np.flatnonzero(part.alive))
         joints.append(adaptation.describe(adaptation.cycles_of(part, settle), beside))
         gaits.append(adaptation.gait_of(part, settle))
-    rows = zip(shares[1:], joints[1:], gaits[1:], strict=True)
+    rows = zip(shares[1:], joints[1:], gaits[1:], upright[1:], strict=True)
     return {
-        "free": {**joints[0], "gait": gaits[0]},
-        "free_at_speeds": [{"share": s, "joints": j, "gait": g} for s, j, g in rows],
+        "free": {**joints[0], "gait": gaits[0], **upright[0]},
+        "free_at_speeds": [{"share": s, "joints": j, "gait": g, **n} for s, j, g, n in rows],
     }
 
 
@@ -393,9 +410,7 @@ def _measured_cloud(assisted: list[Path], filters: IngestSettings) -> dict[str, 
         trials.append(q[_steady_rows(folder)])
     if not trials:
         return {"trials": 0}
-    length = min(map(len, trials))
-    stacked = np.stack([t[:length] for t in trials])
-    return adaptation.cloud(stacked, filters["rate_hz"], filters["cutoff_hz"], filters["filter_order"])
+    return adaptation.cloud(trials, filters["rate_hz"], filters["cutoff_hz"], filters["filter_order"])
 
 
 def _steady_rows(folder: Path) -> np.ndarray:
@@ -571,10 +586,11 @@ def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
         "cap": None,
         "main": True,
     }
-    yield {**first, "condition": "free"}, {"joints": r["free"], "gait": r["free"]["gait"]}
+    free = {"joints": r["free"], "gait": r["free"]["gait"]}
+    yield {**first, "condition": "free", **_upright(r["free"])}, free
     for slower in r["free_at_speeds"]:
         own = {"condition": "free_at_cap", "cap": slower["share"], "aware": True, "main": False}
-        yield {**first, **own}, slower
+        yield {**first, **own, **_upright(slower)}, slower
     for name in ("walk_normal", "walk_robot"):
         if name in r["measured"]:
             known = r["measured"][name]
@@ -583,6 +599,11 @@ def _cases(r: dict[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]
     for c in r["conditions"]:
         if not c["robot_factors"]:
             yield {**first, **_columns_of(c, r)}, c
+
+
+def _upright(walk: dict[str, Any]) -> dict[str, Any]:
+    """Return how many walkers there were and how many stayed up, as far as a file says so."""
+    return {name: walk.get(name) for name in ("survived", "walkers")}
 
 
 def _columns_of(c: dict[str, Any], r: dict[str, Any]) -> dict[str, Any]:

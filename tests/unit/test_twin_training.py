@@ -27,7 +27,7 @@ from real2sim.study.twin.env import (
 from real2sim.study.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
 from real2sim.study.twin.human import MIRROR, MIRROR_SIGN
 from real2sim.study.twin.policy import load_policy, save_policy, save_reference
-from real2sim.study.twin.train import Trainer, train, twin_train
+from real2sim.study.twin.train import Trainer, train, training_key, twin_train
 from scipy.spatial.transform import Rotation
 
 from tests.unit.walking_person import WHO, reference, twin_settings
@@ -333,6 +333,18 @@ def test_after_a_damaged_checkpoint_the_training_is_that_without_one(tmp_path):
         weights.append([w.tobytes() for w, _ in trainer.policy().actor])
     assert weights[0] == weights[1]
     assert sum("starts from the beginning" in line for line in said) == 1
+
+
+def test_a_training_under_other_bars_does_not_go_on_from_a_checkpoint(tmp_path):
+    """Bars and pushes of the examination decide which policy is kept; coupled walks do not."""
+    path = tmp_path / "reference.npz"
+    save_reference(path, reference())
+    settings = twin_settings()
+    key = training_key(WHO, path, settings, 1)
+    assert training_key(WHO, path, copy.deepcopy(settings), 1) == key
+    for name, value in (("acceptance", {"floor_force_bw": [0.9, 1.2]}), ("evaluation", {"push_n": [300]})):
+        assert training_key(WHO, path, settings | {name: settings[name] | value}, 1) != key
+    assert training_key(WHO, path, settings | {"coupled": {}}, 1) == key
 
 
 def test_a_checkpoint_holds_every_bit_and_is_the_same_file_again(tmp_path):

@@ -392,8 +392,12 @@ def summary(verdict: dict[str, Any]) -> str:
 
 
 def training_key(who: Body, reference: Path, settings: TwinSettings, seed: int) -> str:
-    """Return the key that a checkpoint must have for a training to continue from it."""
-    about = [who.height_m, who.mass_kg, who.sex, sha256(reference), settings["human"], settings["training"]]
+    """Return the key that a checkpoint must have for a training to continue from it.
+
+    How policies are examined and what they have to meet decide which one is kept, and so belong to it.
+    """
+    about = [who.height_m, who.mass_kg, who.sex, sha256(reference)]
+    about += [settings[name] for name in ("human", "training", "evaluation", "acceptance")]
     about += [seed, mujoco.__version__, fingerprint(__name__)]
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
 

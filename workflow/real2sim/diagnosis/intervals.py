@@ -66,7 +66,7 @@ def parameter_verdicts(
 def effect_intervals(
     pair: Pair, hypothesis: Hypothesis, wider: np.ndarray, options: DiagnosisSettings
 ) -> list[list[tuple[float, float]]]:
-    """Return 95 % intervals [SI] of the parameters of each effect; ``wider`` as in `parameter_verdicts`."""
+    """Return 95 % intervals [SI] of the parameters of each effect; ``wider`` (n + p,) as in `parameter_verdicts`."""
     every = np.sqrt(_variances(covariance_of(pair, hypothesis))) * wider
     first, out = len(hypothesis.base), []
     for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):

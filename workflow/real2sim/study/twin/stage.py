@@ -131,7 +131,7 @@ class Measured:
 
     @property
     def phantom(self) -> bool:
-        """Whether any of the walks is a synthetic person's."""
+        """True where any of the walks is a synthetic person's."""
         return any(walk.phantom for found in self.walks.values() for walk in found)
 
     def describe(self, assisted: list[Path], filters: IngestSettings) -> dict[str, Any]:
@@ -233,12 +233,9 @@ def twin_coupled(
         asked = conditions_of(prior, own, twin["coupled"], machine, cap)
         recording = _walk(learnt, asked, machine, interface, settings, threads)
         conditions += _compare(recording, asked, machine, cap, person, settings)
-    about = read_json(record, ("phantom", "seed"))
-    synthetic = about["phantom"] or person.phantom or _any_phantom(priors, fits)
     sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
-        "phantom": synthetic,
-        "seed": about["seed"],
+        **_about(record, person, priors, fits),
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
         **_free(learnt, twin, cap, person, threads),
@@ -251,12 +248,15 @@ def twin_coupled(
     write_json(out, plain(content))
 
 
-def _any_phantom(priors: Path, fits: list[Path]) -> bool:
-    """Return whether priors or fits rest on synthetic people; the published priors do not."""
-    rows = read_table(priors, ("parameter", "prior"))
-    return any(row.get("phantom") == "true" for row in rows) or any(
-        bool(read_json(path).get("phantom", False)) for path in fits
-    )
+def _about(record: Path, person: Measured, priors: Path, fits: list[Path]) -> dict[str, Any]:
+    """Return the policy's seed, and whether anything that is compared rests on synthetic people.
+
+    That is policy, walks, priors or fits; published priors do not.
+    """
+    about = read_json(record, ("phantom", "seed"))
+    found = [row.get("phantom") == "true" for row in read_table(priors, ("parameter", "prior"))]
+    found += [bool(read_json(path).get("phantom", False)) for path in fits]
+    return {"phantom": about["phantom"] or person.phantom or any(found), "seed": about["seed"]}
 
 
 def load_walker(path: Path, coupled: TwinCoupledSettings) -> Policy:

@@ -12,7 +12,7 @@ import pytest
 from real2sim.diagnosis import trials as trials_module
 from real2sim.diagnosis.attribute import Attribution, finished
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Decision
-from real2sim.diagnosis.intervals import parameter_verdicts, widened
+from real2sim.diagnosis.intervals import Precision, parameter_verdicts, precision_by_fit
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.diagnosis.trials import Found, Trials, conclude, is_shown_by_held_out_alone, search_both_ways
@@ -49,6 +49,7 @@ def _case(name: str, stratum: str, effects: list[str], verdict: str, folder: Pat
         "causes": [
             {
                 "effect": "slack",
+                "equation": next(e.equation for e in EFFECTS if (e.name, e.form) == ("slack", "")),
                 "parameters": {"half_width_tx_m": {"value": 2.2e-3, "ci95": [2.1e-3, 2.3e-3]}},
             }
         ],
@@ -211,8 +212,11 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     fit = Hypothesis((placed,), np.append(z, 0.0), (1000.0, 900.0))
     trial = SimpleNamespace(samples=1000, samples_by_sensor=(1000,), noise_by_sensor=(1000.0,))
     pair = Pair(trial, trial, system)
-    monkeypatch.setattr("real2sim.diagnosis.intervals.scatter", lambda pair, fit, options: np.ones(13))
-    wider = widened(pair, fit, 1000, CONFIG["diagnosis"])
+    monkeypatch.setattr(
+        "real2sim.diagnosis.intervals.precision_by_noise",
+        lambda pair, fit, options: Precision(np.eye(13), np.ones(13)),
+    )
+    wider = precision_by_fit(pair, fit, 1000, CONFIG["diagnosis"]).wider
     rows = parameter_verdicts(pair, fit, wider, CONFIG)
     verdicts = ["determined", "weak", "at bound", "not determined", "weak"]
     assert [row.verdict for row in rows[:5]] == verdicts
@@ -225,12 +229,14 @@ def test_strap_parameters_are_called_what_they_are(monkeypatch):
     assert rows[0].ci95 == pytest.approx(np.exp(z[0] + 1.96 * wide * np.array([-1, 1])))
     assert rows[2].ci95[1] == pytest.approx(np.exp(upper[2]))
     worse = replace(fit, chi2=(9000.0, 900.0))
-    again = parameter_verdicts(pair, fit, widened(pair, worse, 1000, CONFIG["diagnosis"]), CONFIG)
+    again = parameter_verdicts(
+        pair, fit, precision_by_fit(pair, worse, 1000, CONFIG["diagnosis"]).wider, CONFIG
+    )
     assert again[0].verdict == "weak", "three times as wide"
     # a log that is quieter than its floor makes up for none of what the markers leave
     trial = SimpleNamespace(samples=1000, samples_by_sensor=(500, 500), noise_by_sensor=(500.0, 10.0))
     loud = replace(fit, chi2=(1000.0, 900.0), sensors=((990.0, 10.0), (890.0, 10.0)))
-    wide = widened(Pair(trial, trial, system), loud, 1000, CONFIG["diagnosis"])
+    wide = precision_by_fit(Pair(trial, trial, system), loud, 1000, CONFIG["diagnosis"]).wider
     told = parameter_verdicts(pair, fit, wide, CONFIG)
     assert np.diff(np.log(told[0].ci95)) > 1.15 * np.diff(np.log(rows[0].ci95))
     # an SD that cannot be computed says nothing, and least of all that it is small

@@ -102,13 +102,13 @@ def stubs(monkeypatch):
     monkeypatch.setattr(answers._Account, "_parameters", lambda account, named: {})
     monkeypatch.setattr(answers._Account, "_closed", lambda account, path: {"gap_closed": None})
     monkeypatch.setattr(answers, "could_have_shown", lambda pair, fit, options: [])
-    monkeypatch.setattr(answers, "widened", lambda pair, h, samples, options: np.ones(len(h.z)))
+    monkeypatch.setattr(answers, "precision_by_fit", lambda pair, h, samples, options: None)
     monkeypatch.setattr(answers, "with_others", lambda decision, machines, options, named: decision)
     monkeypatch.setattr(answers, "describe_machines", lambda machines, options: None)
     return monkeypatch
 
 
-def unit_intervals(pair, hypothesis, wider, options):
+def unit_intervals(hypothesis, precision, options):
     """An interval from 0 to 1 for every parameter of each effect."""
     return [[(0.0, 1.0)] * len(one.effect.parameters) for one in hypothesis.effects]
 
@@ -227,7 +227,7 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
 def causes_of(stubs, hypotheses, sets, chosen=0, report=None, **probabilities):
     """Return the causes of sets with these probabilities; intervals hold the searched numbers of each effect."""
 
-    def intervals(pair, hypothesis, wider, options):
+    def intervals(hypothesis, precision, options):
         each = zip(hypothesis.effects, hypothesis.split(), strict=True)
         return [[(v, v) for v in one.values(x[None])[0]] for one, x in each]
 

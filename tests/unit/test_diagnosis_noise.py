@@ -15,7 +15,7 @@ from real2sim.diagnosis.sensors import by_sensor
 from real2sim.geometry import AXES
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import Bands, drawn_together, noise_colour, rest_uncertainty, robot_noise
-from real2sim.study.strap_evidence import Elsewheres, StrapEvidence
+from real2sim.study.strap_evidence import Drawn, Elsewheres, StrapEvidence
 from real2sim.system.plant import ROBOT_JOINTS
 from scipy.signal import butter, lfilter, sosfiltfilt
 
@@ -108,7 +108,7 @@ class _Logged(StrapEvidence):
     def _draw(self, seed, i):
         rng = np.random.default_rng([seed, i])
         noise = 1e-3 * rng.standard_normal((len(self.robot), 2, 3))
-        return None, None, noise, 1e-3 * rng.standard_normal((3, 6))
+        return Drawn((None, None), 1e-3 * rng.standard_normal((3, 6)), noise)
 
     def _misjudged(self, markers):
         return np.zeros((len(markers), 6))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from real2sim.configuration import read_yaml, validated
 from real2sim.diagnosis import intervals
-from real2sim.diagnosis.intervals import effect_intervals, scatter
+from real2sim.diagnosis.intervals import Precision, effect_intervals, precision_by_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import EFFECTS, Placed
@@ -47,7 +46,7 @@ def linear(monkeypatch):
 
 def _scatter(trial: _Trial, draws: int = 400) -> np.ndarray:
     fit = Hypothesis((), np.zeros(12), (1.0, 1.0))
-    return scatter(Pair(trial, trial, STRAP), fit, OPTIONS | {"noise_draws": draws})
+    return precision_by_noise(Pair(trial, trial, STRAP), fit, OPTIONS | {"noise_draws": draws}).wider
 
 
 def test_noise_that_moves_residuals_together_widens_what_it_looks_like(linear):
@@ -71,7 +70,7 @@ def test_a_direction_that_the_data_say_nothing_of_stays_as_its_prior_left_it(mon
     assert _scatter(_Trial(np.zeros(ROWS), 0.0))[0] == 1.0
 
 
-def test_no_effect_is_known_better_than_the_plant(monkeypatch):
+def test_no_effect_is_known_better_than_the_plant():
     """The size of a delay, and the logarithm of a friction: by curvature both are exact."""
     least = OPTIONS["report"]["plant_sd_ln"]
     for name, x in (("sync_offset", 0.05), ("coulomb", np.log(0.5))):
@@ -79,9 +78,9 @@ def test_no_effect_is_known_better_than_the_plant(monkeypatch):
         place = Placed(effect, effect.places(STRAP)[0], SCALES)
         z = np.zeros(12 + len(effect.parameters))
         z[12] = x
-        monkeypatch.setattr(intervals, "covariance_of", lambda pair, fit: np.zeros((len(fit.z),) * 2))
         fit = Hypothesis((place,), z, (1.0, 1.0))
-        ends = effect_intervals(SimpleNamespace(), fit, np.ones(len(z)), OPTIONS)[0][0]
+        exact = Precision(np.zeros((len(z), len(z))), np.ones(len(z)))
+        ends = effect_intervals(fit, exact, OPTIONS)[0][0]
         value = place.values(z[None, 12:])[0, 0]
         assert (np.log(ends[1] / ends[0]) / 2) == pytest.approx(1.96 * least, rel=0.02), name
         assert ends[0] < value < ends[1]

@@ -15,7 +15,7 @@ from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
 from real2sim.pages.validation import RECORD_KEYS
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
-from synthetic_study import REMEDY, write_study
+from synthetic_study import REMEDY, write_refined, write_study
 from test_pages import _diagnosis, _Page
 
 from tests.browser import AXE, browser, chromium, judged_by_axe
@@ -161,6 +161,9 @@ def test_what_costs_less_than_a_fit_says_that_its_search_has_not_converged(repor
     report_page(**report[1] | {"loso": tmp_path / "loso.csv"}, title="Study", out=out)
     text = _parsed(out)[0].text
     assert f"{rows[0]['subject']} (prior of the others \N{MINUS SIGN}8.1 %)" in text
+    half = write_refined(tmp_path / "refined.json", ratio=0.52)
+    report_page(**report[1] | {"refined": [half]}, title="Study", out=out)
+    assert "S99 (dynamic_1 from the priors \N{MINUS SIGN}48 %)" in _parsed(out)[0].text
 
 
 def test_intervals_of_a_model_that_lacks_something_say_so(report, tmp_path):

@@ -24,7 +24,7 @@ from real2sim.diagnosis.answer import answer
 from real2sim.diagnosis.attribute import candidates, check_simulated, plain_fit
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.intervals import Known, parameter_verdicts, widened
+from real2sim.diagnosis.intervals import Known, parameter_verdicts, precision_by_fit
 from real2sim.diagnosis.machines import beside_configured, search_with
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
@@ -259,8 +259,8 @@ def identify(
     pair = Pair(evidence, evidence.as_held_out(), system)
     fitted = Search(pair, search).fit((), z, final=True)
     check_simulated(pair, fitted)
-    wider = widened(pair, fitted, evidence.samples, options["diagnosis"])
-    known = parameter_verdicts(pair, fitted, wider, options)
+    precision = precision_by_fit(pair, fitted, evidence.samples, options["diagnosis"])
+    known = parameter_verdicts(pair, fitted, precision.wider, options)
     values = dict(zip(system.parameter_names, map(float, system.values(fitted.base)), strict=True))
     channels = options["diagnosis"]["described"]["channels"]
     steps = step_findings(pair, fitted, options["diagnosis"])

@@ -22,7 +22,7 @@ from real2sim.diagnosis.decide import (
 )
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law, Measured, measure
-from real2sim.diagnosis.intervals import effect_intervals, parameter_verdicts, widened
+from real2sim.diagnosis.intervals import Precision, effect_intervals, parameter_verdicts, precision_by_fit
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.layers import layered
 from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
@@ -381,7 +381,7 @@ class _Account:
         self._best = self._named if self._law is None else self._law.hypothesis
         shown = found.pair.shown
         self._plain_path = simulate(self._before_pair.shown, self._before_pair, self._before)
-        self._wider: dict[tuple[str, bytes], np.ndarray] = {}
+        self._precisions: dict[tuple[str, bytes], Precision] = {}
         self._floor_draws = shown.floor_draws()
         self._floor = float(self._floor_draws.mean())
 
@@ -503,7 +503,8 @@ class _Account:
 
     def _parameters(self, named: bool) -> dict[str, dict[str, Any]]:
         system = self._pair.system
-        known = parameter_verdicts(self._pair, self._named, self._widened(self._named), self._settings)
+        wider = self._precision(self._named).wider
+        known = parameter_verdicts(self._pair, self._named, wider, self._settings)
         # another machine may come with other parameters
         base = dict(zip(system.parameter_names, system.values(self._attribution.plain.base), strict=True))
         other = self._before_pair.system
@@ -541,13 +542,13 @@ class _Account:
                 out.append(self._cause(best[name], name, detailed=detailed, told=told))
         return out
 
-    def _widened(self, hypothesis: Hypothesis) -> np.ndarray:
-        """As `widened`, once per hypothesis."""
+    def _precision(self, hypothesis: Hypothesis) -> Precision:
+        """As `precision_by_fit`, once per hypothesis."""
         key = hypothesis.key, hypothesis.z.tobytes()
-        if key not in self._wider:
+        if key not in self._precisions:
             samples, options = self._attribution.samples[0], self._settings["diagnosis"]
-            self._wider[key] = widened(self._pair, hypothesis, samples, options)
-        return self._wider[key]
+            self._precisions[key] = precision_by_fit(self._pair, hypothesis, samples, options)
+        return self._precisions[key]
 
     def _cause(self, hypothesis: Hypothesis, name: str, *, detailed: bool, told: bool) -> Cause:
         pair, members = self._pair, _members(hypothesis, name)
@@ -568,7 +569,7 @@ class _Account:
         shown_path = path if pair.shown is self._held_out else simulate(pair.shown, pair, hypothesis)
         if told:
             options = self._settings["diagnosis"]
-            intervals = effect_intervals(pair, hypothesis, self._widened(hypothesis), options)
+            intervals = effect_intervals(hypothesis, self._precision(hypothesis), options)
             of = {placed.key: own for placed, own in zip(hypothesis.effects, intervals, strict=True)}
             for placed, parameters in members:
                 for entry, ends in zip(parameters.values(), of[placed.key], strict=True):

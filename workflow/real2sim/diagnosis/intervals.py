@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,23 @@ class Known:
     verdict: str
 
 
+@dataclass(frozen=True)
+class Precision:
+    """Knowledge of a hypothesis' searched numbers.
+
+    ``covariance`` (n + p, n + p) by the curvature at the joint optimum; ``wider`` (n + p,), at least 1, are factors on
+    its SDs.
+    """
+
+    covariance: np.ndarray
+    wider: np.ndarray
+
+    @property
+    def widened(self) -> np.ndarray:
+        """Return the covariance (n + p, n + p) with the factors in it."""
+        return self.covariance * np.outer(self.wider, self.wider)
+
+
 def parameter_verdicts(
     pair: Pair, hypothesis: Hypothesis, wider: np.ndarray, settings: Settings
 ) -> list[Known]:
@@ -33,7 +50,7 @@ def parameter_verdicts(
 
     ``unbiased`` is the fitted value, less its bias by noise of the drive (``bias_ln``) where that is more than its SD
     and the rest is known. The interval, cut at the search's bounds, is about the point without the bias; its SD by the
-    curvature is multiplied by ``wider`` (n + p,) of `widened`. A parameter whose SD cannot be computed is not
+    curvature is multiplied by ``wider`` (n + p,) of a `Precision`. A parameter whose SD cannot be computed is not
     determined, and its interval is the range of the search. ``settings`` are the slices ``diagnosis`` and
     ``identifiability``.
     """
@@ -64,10 +81,10 @@ def parameter_verdicts(
 
 
 def effect_intervals(
-    pair: Pair, hypothesis: Hypothesis, wider: np.ndarray, options: DiagnosisSettings
+    hypothesis: Hypothesis, precision: Precision, options: DiagnosisSettings
 ) -> list[list[tuple[float, float]]]:
-    """Return 95 % intervals [SI] of the parameters of each effect; ``wider`` (n + p,) as in `parameter_verdicts`."""
-    every = np.sqrt(_variances(covariance_of(pair, hypothesis))) * wider
+    """Return 95 % intervals [SI] of the parameters of each effect."""
+    every = np.sqrt(_variances(precision.covariance)) * precision.wider
     first, out = len(hypothesis.base), []
     for placed, x in zip(hypothesis.effects, hypothesis.split(), strict=True):
         # of a searched number that is no logarithm, a share of its size is what a share is of the value
@@ -86,23 +103,17 @@ def _variances(covariance: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(variance) & (variance >= 0), variance, np.inf)
 
 
-def widened(pair: Pair, hypothesis: Hypothesis, samples: int, options: DiagnosisSettings) -> np.ndarray:
-    """Factors (n + p,), at least 1, on the SD of the searched numbers by the curvature at the joint optimum.
-
-    By what the fit leaves beyond noise, of ``samples`` residuals of the fitted trial, and by the scatter of fits of
-    simulated noise.
-    """
+def precision_by_fit(
+    pair: Pair, hypothesis: Hypothesis, samples: int, options: DiagnosisSettings
+) -> Precision:
+    """As `precision_by_noise`, widened by what the fit leaves beyond noise, of ``samples`` residuals of its trial."""
+    by_noise = precision_by_noise(pair, hypothesis, options)
     above = Search(pair, options["search"]).above_by_trial(hypothesis)[0]
-    return np.asarray(np.sqrt(1 + max(above, 0.0) / samples) * scatter(pair, hypothesis, options))
+    return replace(by_noise, wider=by_noise.wider * np.sqrt(1 + max(above, 0.0) / samples))
 
 
-def covariance_of(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
-    """Return the covariance (n + p, n + p) of the searched numbers, from the curvature at the joint optimum."""
-    return _curvature(pair, hypothesis)[1]
-
-
-def scatter(pair: Pair, hypothesis: Hypothesis, options: DiagnosisSettings) -> np.ndarray:
-    """SD (n + p,) of the searched numbers among fits of simulated noise over that by the curvature, at least 1.
+def precision_by_noise(pair: Pair, hypothesis: Hypothesis, options: DiagnosisSettings) -> Precision:
+    """Return how well searched numbers are known by the curvature, and by the scatter of fits of simulated noise.
 
     Noise is whitened band by band. What moves the residuals of many frequencies together, as an error of the start
     does, is then taken for as many measurements, and the curvature for more than is known. Noise is simulated through
@@ -126,7 +137,8 @@ def scatter(pair: Pair, hypothesis: Hypothesis, options: DiagnosisSettings) -> n
     variance = (moved**2).sum(axis=0) / max(len(noise), 1) + np.maximum(np.diag(rest), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = variance / np.diag(covariance)
-    return np.sqrt(np.where(np.isfinite(ratio), np.maximum(ratio, 1.0), 1.0))
+    wider = np.sqrt(np.where(np.isfinite(ratio), np.maximum(ratio, 1.0), 1.0))
+    return Precision(covariance, wider)
 
 
 def _curvature(pair: Pair, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:

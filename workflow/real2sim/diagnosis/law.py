@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from real2sim.diagnosis.free_form import AnyFamily, Law, Library
-from real2sim.diagnosis.intervals import covariance_of, scatter
+from real2sim.diagnosis.intervals import precision_by_noise
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.chains import Context
@@ -191,9 +191,8 @@ def _beyond_noise(pair: Pair, hypothesis: Hypothesis) -> float:
 
 
 def _fitted(pair: Pair, law: Law, options: DiagnosisSettings) -> list[_Fitted]:
-    wider = scatter(pair, law.hypothesis, options)
-    covariance = covariance_of(pair, law.hypothesis) * np.outer(wider, wider)
-    covariance *= _beyond_noise(pair, law.hypothesis)
+    known = precision_by_noise(pair, law.hypothesis, options)
+    covariance = known.widened * _beyond_noise(pair, law.hypothesis)
     at, out = law.first, []
     for family, x in zip(law.families, law.coefficients, strict=True):
         # of coefficients that each trial has of its own, those of the fitted one are told

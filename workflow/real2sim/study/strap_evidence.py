@@ -123,6 +123,21 @@ class PlantSetup:
     threads: int = 1
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """One draw of the noise of all markers.
+
+    ``pelvis`` is a path, (n, 3, 3) and (n, 3) [m], measured with other noise, and ``markers`` (n, 2, 3) [m] noise of
+    the interface's. What of the path's noise is beside it throughout, at its start and its end, ``beside`` (3, 6)
+    [m, rad], is told apart and not in ``pelvis``: each of these numbers moves many residuals together, and noise that
+    is whitened frequency by frequency would be taken for as many measurements.
+    """
+
+    pelvis: tuple[np.ndarray, np.ndarray]
+    beside: np.ndarray
+    markers: np.ndarray
+
+
 @dataclass
 class ReplayCache:
     """Cache of what replays of one trial have computed; it changes no result.
@@ -133,9 +148,7 @@ class ReplayCache:
 
     drives: dict[float, PelvisDrive] = field(default_factory=dict)
     bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
-    draws: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = field(
-        default_factory=dict
-    )
+    draws: dict[tuple[int, int], Drawn] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
     start_joints: np.ndarray | None = None
 
@@ -446,7 +459,7 @@ class StrapEvidence:
         """Residuals (draws, n, c) of a perfect model: noise of markers, replayed pelvis and log; what nobody knows."""
         replay = self.replay(list(effects), draws + 1, coarse=True)
         self._shake(replay, draws, seed)
-        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        markers = np.array([self._draw(seed, i).markers for i in range(draws)])
         rng = np.random.default_rng([seed, draws])
         logged = self.levels.robot_sd * rng.standard_normal(
             (draws, len(self.trial.time_s), len(self.levels.robot_sd))
@@ -465,11 +478,11 @@ class StrapEvidence:
         """
         if self.elsewhere is None:
             raise ValueError("the noise of this trial has not been simulated: call with_noise first")
-        markers = np.array([self._draw(seed, i)[2] for i in range(draws)])
+        markers = np.array([self._draw(seed, i).markers for i in range(draws)])
         misjudged = self._misjudged(markers)
         covariance = misjudged.T @ misjudged / draws + self.levels.let_go.T @ self.levels.let_go
         started = np.tensordot(_roots(covariance), self.elsewhere.starts, axes=1)
-        beside = np.array([self._draw(seed, i)[3].ravel() for i in range(draws)])
+        beside = np.array([self._draw(seed, i).beside.ravel() for i in range(draws)])
         driven = np.tensordot(_roots(beside.T @ beside / draws), self.elsewhere.pelvis, axes=1)
         parts = [self.elsewhere.rests, started, driven, self.elsewhere.holds, self.elsewhere.put_back]
         if self.robot is not None:
@@ -545,21 +558,16 @@ class StrapEvidence:
     def shaken(self, draws: int, seed: int) -> None:
         """None: a replay is driven by the most probable path, and what is left of the person's bends no fit."""
 
-    def _draw(self, seed: int, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Pelvis path (n, 3, 3), (n, 3) with other noise and noise (n, 2, 3) of the interface markers [m]: draw i.
-
-        What of that path's noise is `_beside` it, (3, 6) [m, rad], is told apart and not in it: each of these numbers
-        moves many residuals together, and noise that is whitened frequency by frequency would be taken for as many
-        measurements.
-        """
+    def _draw(self, seed: int, i: int) -> Drawn:
+        """Draw ``i`` of the noise of all markers."""
         if (seed, i) not in self.cache.draws:
             rng = np.random.default_rng([seed, i])
             left = self.recorded.path.left(path_noise(self.trial, self.levels.noise_model, rng), rng)
             beside = np.linalg.lstsq(self._beside.T, left, rcond=None)[0]
             drawn = with_path(self.trial, path_of(self.trial) + left - self._beside.T @ beside)
-            rotation, position = drawn.pelvis_rotation, drawn.pelvis_position
+            pelvis = drawn.pelvis_rotation, drawn.pelvis_position
             own = self.levels.noise_model.filtered(INTERFACE_MARKERS, len(self.trial.time_s), rng)
-            self.cache.draws[seed, i] = rotation, position, own, beside
+            self.cache.draws[seed, i] = Drawn(pelvis, beside, own)
         return self.cache.draws[seed, i]
 
     @property
@@ -586,7 +594,7 @@ class StrapEvidence:
         for i in range(draws):
             key = seed, i, h
             if key not in self.cache.commands:
-                self.cache.commands[key] = replay.command_for(*self._draw(seed, i)[:2])
+                self.cache.commands[key] = replay.command_for(*self._draw(seed, i).pelvis)
             replay.set_command(i + 1, self.cache.commands[key])
 
     def _apart(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from real2sim.effects.catalogue import EFFECTS
 from real2sim.verification.claims import Row
 
 # Quantities that the phantom's equation and that of the catalogue share: effect, name in the truth, name in the answer.
@@ -24,37 +25,42 @@ SAME = {
 }
 
 
+# Forms whose equation is that of the truth: the first of each effect, the turn of a rest pose beside its shift, and the
+# lab frame that turns the interface with the pelvis
+_FORMS = ("", "_turned", "interface")
+
+
 def held_sizes(row: Row) -> list[bool]:
     """Return whether each interval of a quantity that an equation of the catalogue shares with the truth holds it.
 
-    Of the effects of one case that were named, in the form that they were made with and on the axes that they act on.
+    Of the effects of one case that were made by that equation, named, and answered by that equation.
     """
-    out = []
+    if row["answer"]["verdict"] not in row["names"]:
+        return []
+    causes = {cause["effect"]: cause for cause in row["answer"]["causes"]}
+    told = []
     for effect in row["case"]["effects"]:
-        if effect["form"] != effect["effect"]:
-            # another equation: its numbers mean something else
-            continue
-        cause = next((c for c in row["answer"]["causes"] if c["effect"] == effect["effect"]), None)
-        if cause is not None and row["answer"]["verdict"] in row["names"]:
+        name = effect["effect"]
+        cause = causes.get(name)
+        if effect["form"] == name and cause is not None and _is_by_first_form(cause):
             for key, value in effect["parameters"].items():
-                entry = _told(effect["effect"], key, effect["axes"], cause["parameters"])
-                if entry is not None and "ci95" in entry:
-                    low, high = entry["ci95"]
-                    out.append(bool(low <= value <= high))
-    return out
+                entry = _told(name, key, effect["axes"], cause["parameters"])
+                told.append((value, entry.get("ci95")))
+    return [bool(ends[0] <= value <= ends[1]) for value, ends in told if ends]
 
 
-def _told(effect: str, key: str, axes: list[str], parameters: Row) -> Row | None:
-    """Return what the answer says of a quantity of the truth; None where it says nothing of it, or in another form."""
-    axis = next((a for a in axes if f"_{a}_" in f"{key}_"), None)
+def _is_by_first_form(cause: Row) -> bool:
+    shared = {e.equation for e in EFFECTS if e.name == cause["effect"] and e.form in _FORMS}
+    return cause["equation"] in shared
+
+
+def _told(effect: str, key: str, axes: list[str], parameters: Row) -> Row:
+    """Return what the answer says of a quantity of the truth, empty where that is nothing."""
+    axis = next((a for a in axes if f"_{a}_" in key), None)
     quantity = key.split(f"_{axis}_")[0] if axis else key.rsplit("_", 1)[0]
     name = SAME.get(effect, {}).get(quantity)
     if name is None:
-        return None
-    for told, entry in parameters.items():
-        rest = told.removeprefix(name)
-        place = rest.strip("_").split("_")
-        on_axis = axis in place if axis else len(place) == 1
-        if rest != told and on_axis and not {"soft", "scaled", "two"} & set(place):
-            return dict(entry)
-    return None
+        return {}
+    return next(
+        (e for k, e in parameters.items() if k.startswith(name) and (axis is None or f"_{axis}_" in k)), {}
+    )

@@ -56,6 +56,17 @@ def _not_converged(study: Study) -> list[str]:
         for row in rows
         if row.get(key) and row["subject"] in study.people and number(row[key]) < -SEARCH_TOLERANCE_PERCENT
     ]
+    refined = [
+        (record["subject"], trial, 100 * (found["against_full"]["J_ratio"] - 1))
+        for record in study.sharing.refined
+        for trial, found in record["trials"].items()
+        if found["against_full"]
+    ]
+    worse += [
+        f"{name} ({trial} from the priors {rounded(change, 3)} %)"
+        for name, trial, change in refined
+        if change < -SEARCH_TOLERANCE_PERCENT
+    ]
     if not worse:
         return []
     return [

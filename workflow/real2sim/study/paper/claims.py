@@ -122,8 +122,6 @@ class Evidence:
 
 # How much less than the own fit [%] parameters from elsewhere may cost before that fit counts as not found
 SEARCH_TOLERANCE_PERCENT = 1.0
-# A fit this near to a bound [ln] is on it, as of `identification.at_bound_ln`
-_AT_BOUND_LN = 0.02
 
 Judge = Callable[[Evidence], Finding]
 _JUDGES: dict[str, Judge] = {}
@@ -484,12 +482,13 @@ def _symmetric(row: Row) -> bool:
 def _bound_k_rz(e: Evidence) -> Finding:
     if not e.fits:
         return _no("There are no fits.")
-    bound = number(_by(e.published["bounds"], "parameter")["k_rz"]["lower"])
     values = np.array([number(fit[parameter_column("k_rz")]) for fit in e.fits])
-    share = float(np.mean(np.log(values / bound) < _AT_BOUND_LN))
+    ends = _by(e.published["bounds"], "parameter")["k_rz"]
+    # which of the two bounds a fit is on
+    low = values < math.sqrt(number(ends["lower"]) * number(ends["upper"]))
+    share = float(np.mean(low & ["k_rz" in fit["at_bound"].split() for fit in e.fits]))
     reason = (
-        f"{_short(100 * share)} % of the fits here end on the lower bound of k_rz ({_short(bound)} Nm/rad); their "
-        "geometric mean is compared."
+        f"{_short(100 * share)} % of the fits here end on the lower bound; their geometric mean is compared."
     )
     return e.judged(share > 0.5, float(np.exp(np.log(values).mean())), reason)
 

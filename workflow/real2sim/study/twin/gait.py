@@ -213,24 +213,22 @@ def _steady(
 ) -> tuple[dict[str, np.ndarray], float]:
     """Strikes within the steady stretch of the walk, and the mean speed over whole strides [m/s]."""
     good = np.isfinite(along)
-    found = {side: whole_strides(s) for side, s in strikes.items()}
-    speeds = {
-        side: np.diff(np.interp(np.array(of), time_s[good], along[good]), axis=1)[:, 0]
-        / np.diff(of, axis=1)[:, 0]
-        for side, of in found.items()
-        if of
-    }
-    if not speeds:
+
+    def speed(stride: tuple[float, float]) -> float:
+        start, end = np.interp(stride, time_s[good], along[good])
+        return float((end - start) / (stride[1] - stride[0]))
+
+    found = {side: [(speed(of), *of) for of in whole_strides(s)] for side, s in strikes.items()}
+    least = _STEADY * max((v for of in found.values() for v, *_ in of), default=np.nan)
+    steady = {side: [stride for stride in of if stride[0] > least] for side, of in found.items()}
+    kept = [v for of in steady.values() for v, *_ in of]
+    if not kept:
         return strikes, np.nan
-    fastest = np.max(np.concatenate(list(speeds.values())))
-    out = {}
-    for side, s in strikes.items():
-        steady = [
-            of for of, v in zip(found[side], speeds.get(side, ()), strict=False) if v > _STEADY * fastest
-        ]
-        out[side] = s[(s >= steady[0][0]) & (s <= steady[-1][1])] if steady else s[:0]
-    kept = np.concatenate([v[v > _STEADY * fastest] for v in speeds.values()])
-    return out, float(kept.mean())
+    within = {
+        side: (s >= of[0][1]) & (s <= of[-1][2]) if (of := steady[side]) else np.zeros(len(s), bool)
+        for side, s in strikes.items()
+    }
+    return {side: s[within[side]] for side, s in strikes.items()}, float(np.mean(kept))
 
 
 def strides(time_s: np.ndarray, values: np.ndarray, strikes: np.ndarray, phases: int = 101) -> np.ndarray:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.visible import _crossed, of_size
+from real2sim.diagnosis.visible import _crossed, _Trials, of_size
 from real2sim.effects.base import Scales
 from real2sim.system.description import shipped_system
 
@@ -85,3 +85,14 @@ def test_a_size_that_cannot_be_simulated_is_passed_over():
     assert _crossed(sizes, np.array([np.nan, 500.0, 600.0, np.nan]), needed) == 2.0
     assert _crossed(sizes, np.array([5.0, 50.0, np.nan, np.nan]), needed) is None
     assert _crossed(sizes, np.full(4, np.nan), needed) is None
+
+
+@pytest.mark.parametrize(("loudness", "expected"), [(3.0, 3.0), (0.5, 1.0)])
+def test_what_an_effect_earns_scatters_as_simulated_noise_does_and_no_less_than_white_noise(
+    loudness, expected
+):
+    trials, rng = object.__new__(_Trials), np.random.default_rng(1)
+    trials._noise = [loudness * rng.standard_normal((4_000, 20)) for _ in range(2)]
+    trials._noise[0][0, 0] = np.nan
+    ways = [np.full(20, 2.0), np.full(20, 1.0)]
+    assert trials._scatter(ways) == pytest.approx(2 * expected * np.sqrt(100.0), rel=0.05)

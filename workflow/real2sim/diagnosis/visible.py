@@ -2,13 +2,14 @@
 
 An effect of some size is simulated beside the plain fit. What the plain plant would leave of it, its parameters fitted
 anew on the tangent, is what the effect would earn; it is told where that is more than the decision asks of a law
-against `none`, with the scatter that noise gives it. What is swallowed whole (by a start pose that is free, by
-stiffness or damping) is invisible at any size.
+against `none`, with the scatter that noise gives it. That scatter is of simulated noise, which may lie along what the
+effect changes more than white noise does. What is swallowed whole (by a start pose that is free, by stiffness or
+damping) is invisible at any size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +40,7 @@ def could_have_shown(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) 
     none that is searched would. ``options`` is the slice ``diagnosis`` of the configuration.
     """
     wanted = options["report"]["visible"]
-    trials = _Trials(pair, plain, options["search"]["longest_step"])
+    trials = _Trials(pair, plain, options)
     out = []
     first = {effect.name: effect for effect in reversed(EFFECTS)}
     for effect in (first[name] for name in wanted if name in first):
@@ -85,9 +86,10 @@ def _ladders(placed: Placed) -> Iterator[tuple[int, np.ndarray]]:
 
 
 class _Trials:
-    """Both trials at the plain fit: residuals, slopes by the system's parameters, and room for those."""
+    """Both trials at the plain fit: residuals, slopes by the system's parameters, room for those, and noise."""
 
-    def __init__(self, pair: Pair, plain: Hypothesis, longest: float):
+    def __init__(self, pair: Pair, plain: Hypothesis, options: DiagnosisSettings):
+        longest = options["search"]["longest_step"]
         self._pair, self._base = pair, plain.base
         items = (pair.train, pair.held_out)
         known = [JointResiduals(e, (), pair.system, coarse=True) for e in items]
@@ -99,35 +101,50 @@ class _Trials:
         lower, upper = pair.system.bounds()
         self._lower = np.maximum(lower - plain.base, -longest)
         self._upper = np.minimum(upper - plain.base, longest)
+        # other draws than those that whiten
+        drawn = (pair.system.values(plain.base), (), options["noise_draws"], options["search"]["seed"] + 1)
+        self._noise = [e.noise_of((), *drawn) for e in items]
 
-    def earned(self, placed: Placed, x: np.ndarray) -> np.ndarray:
-        """Return what the plain plant would leave of an effect of searched numbers (s, p), (s, 2) of both trials."""
+    def earned(self, placed: Placed, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the plain plant would leave of an effect of searched numbers (s, p), and its SD by noise.
+
+        The first (s, 2) is of both trials, the second (s,) of their sum.
+        """
         z = np.hstack([np.tile(self._base, (len(x), 1)), x])
         changes = []
         for evidence, here in zip((self._pair.train, self._pair.held_out), self._residuals, strict=True):
             problem = JointResiduals(evidence, (placed,), self._pair.system, coarse=True)
             changes.append(problem.many(z)[:, : evidence.rows] - here)
-        left = np.full((len(x), 2), np.nan)
+        left, scatter = np.full((len(x), 2), np.nan), np.full(len(x), np.nan)
         n = self._pair.train.rows
         for k, (fitted, held_out) in enumerate(zip(*changes, strict=True)):
             if np.isfinite(fitted).all() and np.isfinite(held_out).all():
                 # the effect is in the data, so that the plain plant lacks it
                 slope = self._fitted[:n].T @ -fitted
                 step = bounded_step(self._normal, slope, self._lower, self._upper)
-                left[k] = [
-                    np.sum((self._fitted[:n] @ step - fitted) ** 2),
-                    np.sum((self._held_out @ step - held_out) ** 2),
-                ]
-        return left
+                ways = self._fitted[:n] @ step - fitted, self._held_out @ step - held_out
+                left[k] = [way @ way for way in ways]
+                scatter[k] = self._scatter(ways)
+        return left, scatter
+
+    def _scatter(self, ways: Sequence[np.ndarray]) -> float:
+        """Return the SD by noise of chi-squared that is left in the direction of residuals (n_r,) of either trial.
+
+        Chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more, where noise is white: the least
+        that is taken.
+        """
+        along = np.sum([noise @ way for noise, way in zip(self._noise, ways, strict=True)], axis=0)
+        # a draw that MuJoCo gives up on says nothing
+        along = along[np.isfinite(along)]
+        by_draws = float(np.mean(along**2)) if len(along) else 0.0
+        return 2 * float(np.sqrt(max(by_draws, sum(way @ way for way in ways))))
 
 
 def _entry(
     placed: Placed, index: int, x: np.ndarray, trials: _Trials, options: DiagnosisSettings
 ) -> dict[str, Any]:
-    left = trials.earned(placed, x)
-    earned = left.sum(axis=1)
-    # chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more
-    sure = earned - _ONE_SIDED_95 * 2 * np.sqrt(earned)
+    left, scatter = trials.earned(placed, x)
+    sure = left.sum(axis=1) - _ONE_SIDED_95 * scatter
     needed = gain_of_a_law(options["calibration"]) + _occam(placed, index, x, left[:, 0])
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
     parameter = placed.effect.parameters[index]

@@ -108,9 +108,8 @@ def _sensors(left: list[list[float]], gap: dict[str, Any]) -> tuple[tuple[float,
 def _candidate(row: dict[str, Any], gap: dict[str, Any], together: bool) -> Candidate:
     sensors = () if together else _sensors(row["chi2_by_sensor"], gap)
     if not row["effects"]:
-        return Candidate(
-            tuple(row["places"]), tuple(row["chi2"]), row["occam"], unlisted=True, sensors=sensors
-        )
+        occam = row["occam"] + row["handicap"]
+        return Candidate(tuple(row["places"]), tuple(row["chi2"]), occam, unlisted=True, sensors=sensors)
     places = tuple(tuple(key for key in row["places"] if key.split()[0] == name) for name in row["effects"])
     ambiguous = any(
         key.split()[0] == name and key.endswith(form) for key in row["places"] for name, form in _AMBIGUOUS

@@ -195,6 +195,26 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     assert refitted == ["filter_lag"]
 
 
+def test_credit_does_not_depend_on_which_smaller_sets_were_tried(monkeypatch):
+    """Of friction with slack, only the friction was fitted alone: without it only the plain fit would be left."""
+    own = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in reversed(EFFECTS)}
+    size = {name: len(placed.effect.parameters) for name, placed in own.items()}
+    left = {("coulomb",): 9000.0, ("slack",): 3500.0, ("coulomb", "slack"): 2880.0}
+
+    def fit_of(*names):
+        z = np.zeros(12 + sum(size[name] for name in names))
+        return Hypothesis(tuple(own[name] for name in names), z, (left[names], left[names]), converged=True)
+
+    found = [fit_of("coulomb", "slack"), fit_of("coulomb")]
+    attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
+    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,))
+    refit = lambda self, effects, start, **more: fit_of(*(p.effect.name for p in effects))  # noqa: E731
+    monkeypatch.setattr(Search, "fit", refit)
+    decision = conclude(Found(pair, attribution), CONFIG["diagnosis"])
+    assert [h.names for h in attribution.hypotheses[2:]] == [("slack",)]
+    assert decision.probabilities["slack"] > 0.8
+
+
 def test_strap_parameters_are_called_what_they_are(monkeypatch):
     """Tight; wide; at a bound; known to nothing; moved by noise. What is beyond noise by the curvature widens them."""
     sd, bias = np.full(13, 0.05), np.zeros(13)

@@ -11,6 +11,7 @@ from real2sim.diagnosis import answer as answers
 from real2sim.diagnosis.decide import Decision
 from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, START_POSE
 from real2sim.diagnosis.machines import Machine
+from real2sim.diagnosis.misfit import Rival
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.trials import Outcome
@@ -83,6 +84,7 @@ def found_of(pair: Pair, fit: Hypothesis, state: str = START_POSE, hypotheses=No
         further=further,
         initial_state=state,
         cost=lambda options: 0.0,
+        left=lambda options: 0.0,
         predict_further=lambda h, options: [SimpleNamespace(chi2=h.chi2[0] + 1) for _ in further],
     )
 
@@ -175,7 +177,7 @@ def test_pairs_under_the_other_initial_state_are_in_the_order_of_the_answer(
     other = found_of(pair, plain(*(left[t] for t in others)), BALANCE)
     none = decision_of("none", none=1.0)
     stubs.setattr(answers, "conclude", lambda found, options: none)
-    stubs.setattr(answers, "share_of_other", lambda costs, c: 0.0)
+    stubs.setattr(answers, "share_of_other", lambda costs, left, c: 0.0)
     otherwise = answers.answer(Outcome(found, none, other, False), CONFIG).otherwise
     assert otherwise["chi2_best"] == [left[t] for t in order]
     assert otherwise["chi2_expected"] == [COUNTS[t] for t in order]
@@ -196,9 +198,9 @@ def test_a_cause_under_the_other_initial_state_tells_the_cost_of_the_held_out_tr
     pair = pair_of("study", *others, exchanged=other_exchanged)
     other = found_of(pair, plain(9e4, 9e4), BALANCE, hypotheses=[theirs])
     one, another = decision_of("coulomb", [1.0], 0, coulomb=1.0), decision_of("tilt", [1.0], 0, tilt=1.0)
-    stubs.setattr(answers, "_checked", lambda *given: (one, None, None))
+    stubs.setattr(answers, "_checked", lambda found, decision, *rest: (decision, None, None))
     stubs.setattr(answers, "conclude", lambda found, options: another)
-    stubs.setattr(answers, "share_of_other", lambda costs, c: 0.4)
+    stubs.setattr(answers, "share_of_other", lambda costs, left, c: 0.4)
     stubs.setattr(answers, "effect_intervals", unit_intervals)
     causes = answers.answer(Outcome(found, one, other, False), CONFIG).causes
     j = {cause.effect: cause.j_held_out for cause in causes}
@@ -213,15 +215,20 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
     own = decision_of("coulomb", [0.6], 0, coulomb=0.6, unknown=0.4)
     law = SimpleNamespace(families=[SimpleNamespace(key="spline q_ty")], hypothesis=plain(8000.0, 8000.0))
     misfit = SimpleNamespace(
-        rival=0.3, measured=SimpleNamespace(laws=[law], library=None), to_dict=lambda found: {}
+        rival=Rival(law, 40.0, 0.3),
+        measured=SimpleNamespace(laws=[law], library=None),
+        to_dict=lambda found: {},
     )
-    stubs.setattr(answers, "_checked", lambda *given: (own, misfit, None))
-    stubs.setattr(answers, "conclude", lambda found, options: decision_of("none", none=1.0))
-    stubs.setattr(answers, "share_of_other", lambda costs, c: 0.25)
+    none = decision_of("none", none=1.0)
+    checked = {START_POSE: (own, misfit, None), BALANCE: (none, None, None)}
+    stubs.setattr(answers, "_checked", lambda found, *rest: checked[found.initial_state])
+    stubs.setattr(answers, "conclude", lambda found, options: none)
+    stubs.setattr(answers, "share_of_other", lambda costs, left, c: 0.25)
     stubs.setattr(answers, "effect_intervals", unit_intervals)
     considered = answers.answer(Outcome(found, own, other, False), CONFIG).considered
     assert [row["effects"] for row in considered] == [["coulomb"], []]
     assert [row["probability"] for row in considered] == pytest.approx([0.75 * 0.6, 0.75 * 0.3])
+    assert considered[1]["handicap"] == 40.0
 
 
 def causes_of(stubs, hypotheses, sets, chosen=0, report=None, **probabilities):

@@ -94,6 +94,17 @@ def test_a_measured_law_that_leaves_less_than_every_name_is_an_unknown_cause():
     assert decide(plain, alike, (2880, 2880), CALIBRATION).verdict == "relaxation"
 
 
+@pytest.mark.parametrize("occam", [100.0, 1_000.0, 3_000.0])
+def test_a_law_that_loses_by_evidence_makes_no_name_surer(occam):
+    """It leaves nothing, with so much freedom that this says little: what the names leave is left all the same."""
+    plain, name = Candidate((), (13_000.0, 13_000.0)), Candidate(("slack",), (3_900.0, 3_900.0))
+    law = Candidate(("external force",), (2_900.0, 2_900.0), occam, unlisted=True)
+    alone = decide(plain, [name], (2880, 2880), CALIBRATION)
+    beside = decide(plain, [name, law], (2880, 2880), CALIBRATION)
+    assert alone.probabilities[UNKNOWN] <= beside.probabilities[UNKNOWN] + 1e-9
+    assert sum(beside.probabilities.values()) == pytest.approx(1)
+
+
 def test_measured_laws_share_what_is_unknown_by_their_evidence():
     good = Candidate(("memory ty",), (2_800.0, 2_900.0), occam=60.0, unlisted=True)
     alike = Candidate(("elastic ty",), (2_805.0, 2_905.0), occam=60.0, unlisted=True)
@@ -133,15 +144,15 @@ def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
     quiet = Candidate((), (2_827.0, 2_721.0))
     at_rest = decide(quiet, [Candidate(("tilt",), (2_827.0, 2_721.0))], (2880, 2880), CALIBRATION)
     assert (let_go.verdict, at_rest.verdict) == ("tilt", NONE)
-    mixed = averaged(at_rest, let_go, share_of_other((5_548.0, 5_568.0), CALIBRATION), LEAST)
+    mixed = averaged(at_rest, let_go, share_of_other((5_548.0, 5_568.0), 0.0, CALIBRATION), LEAST)
     assert mixed.verdict == NONE
     assert mixed.group == (NONE, "tilt")
-    other = share_of_other((5_548.0, 5_568.0), CALIBRATION)
+    other = share_of_other((5_548.0, 5_568.0), 0.0, CALIBRATION)
     assert mixed.probabilities["tilt"] == pytest.approx(other * let_go.probabilities["tilt"], abs=1e-3)
     assert 0.1 < other < 0.5
     assert sum(mixed.probabilities.values()) == pytest.approx(1)
     assert next_trial(mixed, CERTAIN) is not None
-    far = averaged(at_rest, let_go, share_of_other((5_548.0, 19_608.0), CALIBRATION), LEAST)
+    far = averaged(at_rest, let_go, share_of_other((5_548.0, 19_608.0), 0.0, CALIBRATION), LEAST)
     assert far.probabilities[NONE] == pytest.approx(at_rest.probabilities[NONE])
     assert far.group == (NONE,)
 

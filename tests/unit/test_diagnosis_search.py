@@ -31,6 +31,7 @@ from real2sim.diagnosis.attribute import (
     check_simulated,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
+from real2sim.diagnosis.predicted import Predicted
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import (
     FAILED,
@@ -151,7 +152,7 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     assert [h.key for h in tried] == [f"{tilt.key} + {late.key}"]
 
 
-def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through():
+def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(monkeypatch):
     friction = placed_whole("coulomb")
 
     class Trial:
@@ -164,8 +165,15 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
+    told = Predicted((5600.0,), 400.0, 3.0)
+    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: told)
     assert abs(search.excess(found)) < 0.1
     assert search.is_noise(found)
+    # what numbers leave that may move by as much as the fitted trial lets them is no misfit
+    further = replace(found, chi2=(6000.0, 8000.0), z=np.full(13, 0.5))
+    assert abs(search.excess(further)) < 0.1
+    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: None)
+    assert search.excess(replace(further, z=np.full(13, 0.6))) > 1
     # the plain plant is measured by the noise that whitens, and so is what leaves no more than that
     plain = Hypothesis((), np.zeros(12), (6000.0, 6000.0))
     assert search.excess(plain) == pytest.approx((12_000 - 5760) / np.sqrt(2 * 5760))
@@ -705,6 +713,7 @@ def test_a_sensor_that_was_not_recorded_is_not_the_loudest():
     search.pair = SimpleNamespace(train=trial, held_out=trial, samples_by_sensor=((3600, 0), (3600, 0)))
     draws = np.column_stack([np.random.default_rng(0).normal(3600, 85, 15), np.zeros(15)])
     search._noise_of = lambda hypothesis: (draws, draws)
+    search._left_by = lambda hypothesis: hypothesis.by_sensor
     quiet = Hypothesis((), np.zeros(12), (3500.0, 3500.0), sensors=((3500.0, 0.0), (3500.0, 0.0)))
     assert search.loudest_sensor(quiet) == "markers"
 

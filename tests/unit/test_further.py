@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis import further, refit
-from real2sim.diagnosis.further import information, predict_further
+from real2sim.diagnosis.further import predict_further
+from real2sim.diagnosis.predicted import Predicted, information, predict_held_out
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import FAILED
 
@@ -56,11 +57,29 @@ def test_the_predictive_likelihood_is_that_of_a_gaussian(pair):
     found = predict_further(two, fit, [third, fourth], np.inf)
     # both together: what is measured scatters by noise, and by what is not known of the numbers
     matrix = np.vstack([third.matrix, fourth.matrix])
-    spread = np.eye(9) + matrix @ np.linalg.inv(information(two, fit)) @ matrix.T
+    spread = np.eye(9) + matrix @ np.linalg.inv(information((two.train, two.held_out), fit, None)) @ matrix.T
     error = matrix @ fit.z - np.concatenate([third.measured, fourth.measured])
     exact = error @ np.linalg.solve(spread, error) + np.linalg.slogdet(spread)[1]
     assert sum(f.chi2 + f.occam for f in found) == pytest.approx(exact)
     assert all(f.chi2 > 0 for f in found)
+
+
+def test_the_error_of_a_fit_is_no_misfit_of_the_held_out_trial(pair):
+    """What the held-out trial is expected to leave is its noise and what the fitted one does not know."""
+    two, trial = pair
+    two.held_out = trial(6, 5.0)
+    fit = _at_optimum(two)
+    told = predict_held_out(two.train, two.held_out, fit, None, np.inf)
+    matrix, known = two.held_out.matrix, information((two.train,), fit, None)
+    error = matrix @ fit.z - two.held_out.measured
+    exact = error @ np.linalg.solve(np.eye(6) + matrix @ np.linalg.inv(known) @ matrix.T, error)
+    fixed = float(error @ error)
+    assert told.chi2 + told.distance == pytest.approx(exact)
+    assert exact < fixed
+    assert told.of_fixed((fixed,)) == pytest.approx((exact,))
+    # what is less is taken from the sensor that gains, and none gets more
+    markers, log = Predicted((60.0, 50.0), 15.0, 0.0).of_fixed((100.0, 40.0))
+    assert (markers, log) == (pytest.approx(85.0), 40.0)
 
 
 def test_what_only_a_third_trial_tells_pays_for_its_own_prior(pair):
@@ -69,7 +88,7 @@ def test_what_only_a_third_trial_tells_pays_for_its_own_prior(pair):
     for evidence in (two.train, two.held_out):
         evidence.matrix[:, 0] = 0.0
     uniform = 12 / 2000.0**2
-    assert information(two, _at_optimum(two))[0, 0] == pytest.approx(uniform)
+    assert information((two.train, two.held_out), _at_optimum(two), None)[0, 0] == pytest.approx(uniform)
     third = trial(5)
     third.matrix[:, 1:] = 0.0
     told = float(third.matrix[:, 0] @ third.matrix[:, 0])
@@ -110,7 +129,7 @@ def test_a_history_of_the_held_out_trial_is_not_that_of_another(pair):
     third = trial(5)
     found = predict_further(two, fit, [third], 1.0)[0]
     # of its own number nothing is known but the prior
-    known = information(two, fit)
+    known = information((two.train, two.held_out), fit, None)
     known[2], known[:, 2] = 0.0, 0.0
     known[2, 2] = 4.0
     spread = np.eye(5) + third.matrix @ np.linalg.inv(known) @ third.matrix.T
@@ -130,7 +149,7 @@ def test_a_number_of_each_trial_without_a_gaussian_prior_has_a_uniform_one(pair)
     fit = Hypothesis((placed,), np.array([0.1, 7.0, 0.2]), (1.0, 1.0))
     third = trial(5)
     found = predict_further(two, fit, [third], np.inf)[0]
-    known = information(two, fit)
+    known = information((two.train, two.held_out), fit, None)
     known[1], known[:, 1] = 0.0, 0.0
     known[1, 1] = 12 / 2000.0**2
     spread = np.eye(5) + third.matrix @ np.linalg.inv(known) @ third.matrix.T

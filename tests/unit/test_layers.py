@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real2sim.diagnosis.decide import UNKNOWN, Candidate, decide, with_layers
+from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, with_layers
 
 from tests.unit.test_coupling import CONFIG
 
@@ -49,6 +49,17 @@ def test_a_form_that_stands_for_unlisted_laws_keeps_its_doubt(constants):
     doubtful = Candidate(("relaxation",), COULOMB.chi2, ambiguous=True)
     decision = _after(constants, on_top=2_300.0, alone=9_000.0, sets=(doubtful,))
     assert decision.probabilities[UNKNOWN] >= 0.9 * constants["ambiguous_share"]
+
+
+def test_no_set_is_surer_than_sure_with_a_law_on_top(constants):
+    doubtful = Candidate(("relaxation",), (1_100.0, 1_150.0), ambiguous=True)
+    decision = decide(PLAIN, [doubtful], SAMPLES, constants)
+    layer = Candidate(("relaxation",), (1_000.0, 1_000.0))
+    law = Candidate(("external force",), (4_500.0, 4_500.0), unlisted=True)
+    after = with_layers(decision, [doubtful], PLAIN, {0: layer}, [law], SAMPLES, constants, {})
+    # what is doubted of a form is no place for a law on top
+    assert after.probabilities["relaxation"] == pytest.approx(decision.probabilities["relaxation"], abs=0.02)
+    assert after.sets.sum() + after.probabilities[UNKNOWN] + after.probabilities[NONE] == pytest.approx(1.0)
 
 
 def test_a_name_that_the_law_gives_another_equation_keeps_its_doubt(constants):

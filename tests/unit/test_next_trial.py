@@ -38,23 +38,32 @@ def _laws(*kinds: str) -> list[Law]:
 SETS = SimpleNamespace(hypotheses=[_set("slack"), _set("slack"), _set("coulomb"), _set("lugre")])
 
 
-def _decision(chosen: int | None) -> Decision:
-    return Decision({}, np.array([0.5, 0.2, 0.2, 0.1]), "slack", ("slack",), chosen)
+def _decision(chosen: int | None, unknown: float = 0.0) -> Decision:
+    sets = np.array([0.5, 0.2, 0.2, 0.1]) * (1 - unknown)
+    return Decision({"unknown": unknown}, sets, "slack", ("slack",), chosen)
 
 
 def test_rivals_are_two_answers_and_not_two_forms_of_one():
-    assert [r.name for r in rivals_of(SETS, _decision(0), [])] == ["slack", "coulomb"]
+    assert [r.name for r in rivals_of(SETS, _decision(0), [], [])] == ["slack", "coulomb"]
 
 
 def test_laws_that_share_a_family_are_no_rivals():
     laws = _laws("dissipative+memory", "dissipative", "elastic")
-    names = [r.name for r in rivals_of(SETS, _decision(None), laws)]
+    names = [r.name for r in rivals_of(SETS, _decision(None, 0.9), laws, [0.5, 0.3, 0.2])]
     assert names == ["dissipative force along ty of v_ty (and 1 more)", "elastic force along ty of q_ty"]
-    assert [r.name for r in rivals_of(SETS, _decision(None), laws[:2])][1] == "slack"
+    assert [r.name for r in rivals_of(SETS, _decision(None, 0.9), laws[:2], [0.6, 0.4])][1] == "slack"
+
+
+def test_names_and_laws_are_rivals_by_their_probability():
+    laws = _laws("dissipative", "elastic")
+    # a name of 0.4 is a rival of two laws that share 0.2, and one of 0.4 is a rival of a name of 0.3
+    assert [r.name for r in rivals_of(SETS, _decision(None, 0.2), laws, [0.5, 0.5])] == ["slack", "coulomb"]
+    names = [r.name for r in rivals_of(SETS, _decision(0, 0.4), laws, [1.0, 0.0])]
+    assert names == ["dissipative force along ty of v_ty", "slack"]
 
 
 def test_axes_are_those_of_the_rivals_first():
-    rivals = rivals_of(SETS, _decision(None), _laws("dissipative", "elastic"))
+    rivals = rivals_of(SETS, _decision(None, 0.9), _laws("dissipative", "elastic"), [0.5, 0.5])
     shares = {"tx": 0.7, "ty": 0.1, "tz": 0.2}
     pair = SimpleNamespace(system=SYSTEM)
     assert axes_of(rivals, pair, shares, 2)[0] in ("tx", "ty")

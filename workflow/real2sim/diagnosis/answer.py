@@ -26,7 +26,7 @@ from real2sim.diagnosis.intervals import Precision, effect_intervals, parameter_
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.layers import layered
 from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
-from real2sim.diagnosis.misfit import Misfit, chosen, misfit_of, told_apart, with_law
+from real2sim.diagnosis.misfit import Misfit, Rival, chosen, misfit_of, told_apart, with_law
 from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
 from real2sim.diagnosis.refit import Hypothesis, run_freely
 from real2sim.diagnosis.search import Pair, Search
@@ -222,13 +222,11 @@ def answer(
     decision, share, otherwise, reverse = own, 0.0, None, False
     named = () if own.chosen is None else found.attribution.hypotheses[own.chosen].names
     if other is not None:
-        under_other = conclude(other, options)
+        under_other, share = _under_other(outcome, other, options, progress)
         fitted_second = found.pair.exchanged or outcome.the_other_way
         reverse = other.pair.exchanged != fitted_second
         otherwise = _otherwise(other, under_other, reverse=reverse)
-        if not outcome.the_other_way:
-            costs = found.cost(options), other.cost(options)
-            share = share_of_other(costs, options["calibration"])
+        if share:
             least = options["calibration"]["ambiguity_probability"]
             decision = averaged(own, under_other, share, least, named)
     if machines:
@@ -239,7 +237,7 @@ def answer(
     if misfit is not None and misfit.rival is not None:
         # averaging over initial states and machines scales the probability of every set by this
         kept = float(decision.sets.sum() / own.sets.sum())
-        result.considered.append(_rival(found.attribution, misfit, found.pair.exchanged, kept))
+        result.considered.append(_rival(found.attribution, misfit.rival, found.pair.exchanged, kept))
     result = account.with_more(result, misfit, measured, progress, imagine)
     result = replace(result, beyond=replace(result.beyond, machine=describe_machines(machines, options)))
     if not share or other is None:
@@ -253,6 +251,23 @@ def answer(
     likelier = {n: more and decision.probabilities[n] >= least for n, more in likelier.items()}
     causes = _of_both_states(result.causes, theirs, likelier, decision.probabilities, other.initial_state)
     return replace(result, causes=causes)
+
+
+def _under_other(
+    outcome: Outcome, other: Found, options: DiagnosisSettings, progress: Callable[[str], None]
+) -> tuple[Decision, float]:
+    """Return the decision under the other initial state, and that state's probability.
+
+    Laws without a name compete there too where that probability matters. It is 0 where the trials were exchanged.
+    """
+    found, decision = outcome.found, conclude(other, options)
+    if outcome.the_other_way:
+        return decision, 0.0
+    left = min(found.left(options), other.left(options))
+    share = share_of_other((found.cost(options), other.cost(options)), left, options["calibration"])
+    if share >= options["search"]["questionable_probability"]:
+        decision, _, _ = _checked(other, decision, options, progress)
+    return decision, share
 
 
 def _checked(
@@ -479,15 +494,21 @@ class _Account:
 
         ``stages`` are those of the names.
         """
-        options, out = self._settings["diagnosis"], dict(stages)
-        laws = [
-            self._found.candidate(law.hypothesis, options, [family.key for family in law.families])
-            for law in measured.laws
-        ]
-        shares = shares_of(laws, self._found.samples, options["calibration"])
-        for law, share in zip(measured.laws, shares.tolist(), strict=True):
+        out = dict(stages)
+        for law, share in zip(measured.laws, self._shares_of(measured.laws), strict=True):
             out[law.families[0].stage] += self._decision.probabilities[UNKNOWN] * share
         return out
+
+    def _shares_of(self, laws: Sequence[Law]) -> list[float]:
+        """Return the share of each measured law in the probability of `unknown`, by evidence."""
+        if not laws:
+            return []
+        options = self._settings["diagnosis"]
+        told = [
+            self._found.candidate(law.hypothesis, options, [family.key for family in law.families])
+            for law in laws
+        ]
+        return list(shares_of(told, self._found.samples, options["calibration"]).tolist())
 
     def _stage(self, stages: Mapping[str, float]) -> str:
         """Return the stage of the named effect, else the one with the likeliest effects.
@@ -603,7 +624,8 @@ class _Account:
         if result.next_trial is None or imagine is None:
             return replace(result, beyond=beyond)
         progress("the next trial: what would part the leading hypotheses?")
-        rivals = rivals_of(self._attribution, decision, measured.laws if measured is not None else [])
+        laws = measured.laws if measured is not None else []
+        rivals = rivals_of(self._attribution, decision, laws, self._shares_of(laws))
         shares = self._pair.shown.axis_shares(self._plain_path)
         axes = axes_of(rivals, self._pair, shares, self._report["next_trial_axes"])
         proposal = propose(self._pair, rivals, axes, options["search"]["longest_step"], imagine)
@@ -715,18 +737,15 @@ def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[s
     }
 
 
-def _rival(attribution: Attribution, misfit: Misfit, exchanged: bool, kept: float) -> dict[str, Any]:
+def _rival(attribution: Attribution, rival: Rival, exchanged: bool, kept: float) -> dict[str, Any]:
     """Return the measured law that competed with the names, as an entry of ``considered`` without effects.
 
     ``kept`` is the factor by which averaging over initial states and machines scales the probability of every set.
     """
-    assert misfit.measured is not None
-    assert misfit.rival is not None
-    law = misfit.measured.laws[0]
     return (
-        {"effects": [], "places": [family.key for family in law.families]}
-        | _left_by(law.hypothesis, attribution, exchanged)
-        | {"probability": kept * misfit.rival}
+        {"effects": [], "places": [family.key for family in rival.law.families]}
+        | _left_by(rival.law.hypothesis, attribution, exchanged)
+        | {"handicap": rival.handicap, "probability": kept * rival.probability}
     )
 
 

@@ -721,6 +721,17 @@ def _plainer(
     return out
 
 
+def missing_parts(
+    pair: Pair, hypothesis: Hypothesis, known: Sequence[Hypothesis], settings: DiagnosisSearchSettings
+) -> list[Hypothesis]:
+    """Refits of a set without each of its effects, of those that are not ``known``: what an effect earns they tell."""
+    if len(hypothesis.effects) < 2:
+        return []
+    search, fitted = Search(pair, settings), {_keys(h.effects) for h in known}
+    parts = [_without_member(hypothesis, member) for member in range(len(hypothesis.effects))]
+    return [search.fit(effects, z) for effects, z in parts if _keys(effects) not in fitted]
+
+
 def finished(pair: Pair, hypothesis: Hypothesis, settings: DiagnosisSearchSettings) -> Hypothesis:
     """A hypothesis refitted until it converged; the old one where that did not help the training trial."""
     if hypothesis.converged:

@@ -78,13 +78,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Decision:
-    """Probabilities by effect name, `none` and `unknown` (they add up to 1), and by candidate (same order)."""
+    """Probabilities by effect name, `none` and `unknown` (they add up to 1), and by candidate (same order).
+
+    ``doubt`` is the part of `unknown` that ambiguous sets would have, were they not ambiguous.
+    """
 
     probabilities: dict[str, float]
     sets: np.ndarray
     verdict: str
     group: tuple[str, ...]
     chosen: int | None
+    doubt: float = 0.0
 
 
 def _gap(plain: Candidate, samples: tuple[int, ...]) -> float:
@@ -168,10 +172,13 @@ def logits(
 
     First a cause competes with none, by what the best set gains, or what one that is not listed would if it left only
     noise. What a cause has is shared out between the listed sets, by their evidence, and `unknown`, by what they leave.
+    A candidate that is not listed competes by evidence with the sets: that it is known explains nothing of the gap by
+    listed effects, so that it never makes `unknown`, which it counts for, less likely.
     """
-    share = unexplained(plain, candidates, samples, c)
+    listed = [x for x in candidates if not x.unlisted]
+    share = unexplained(plain, listed, samples, c)
     # what a law that explains all but noise would leave, by the set that leaves least
-    least = min((plain, *candidates), key=lambda x: sum(x.chi2))
+    least = min((plain, *listed), key=lambda x: sum(x.chi2))
     noise = sum(least.chi2) - least.beyond(samples, c["noise_share"])
     odds = _odds_of_unlisted(share, c)
 
@@ -181,16 +188,17 @@ def logits(
     # jumps are no law, and stand beside none at their own odds
     rows = np.array([gained(x.deviance) - _further(x, c) for x in candidates])
     laws = np.array([_laws(x) > 0 for x in candidates], dtype=bool)
+    named = laws & np.array([not x.unlisted for x in candidates], dtype=bool)
+    named = named if named.any() else laws
     if laws.any():
         # that many laws compete is no reason to believe in one of them
-        together = rows[laws].max() - c["cause_log_odds"] - np.log1p(odds)
-        rows[laws] = _among(
-            [x for x, law in zip(candidates, laws, strict=True) if law], share * _gap(plain, samples), c
-        )
-        rows[laws] += together
+        together = rows[named].max() - c["cause_log_odds"] - np.log1p(odds)
+        left = unexplained(plain, candidates, samples, c) * _gap(plain, samples)
+        rows[laws] = _among([x for x, law in zip(candidates, laws, strict=True) if law], left, c)
+        rows[laws] += together - np.logaddexp.reduce(rows[named])
     # something that is not listed explains all but noise, or looks the same as what is listed
     unknown = gained(min(noise, plain.deviance)) - c["cause_log_odds"] - np.log1p(1 / max(odds, 1e-300))
-    alike = np.log(c["unlisted_odds"]) + float(np.logaddexp.reduce(rows[laws], initial=-np.inf))
+    alike = np.log(c["unlisted_odds"]) + float(np.logaddexp.reduce(rows[named], initial=-np.inf))
     return np.array([*rows, 0.0, np.logaddexp(unknown, alike)])
 
 
@@ -237,11 +245,12 @@ def decide(
     probabilities = dict.fromkeys((*EFFECT_NAMES, NONE, UNKNOWN), 0.0)
     unlisted = np.array([candidate.unlisted for candidate in candidates], dtype=bool)
     sets = p[: len(candidates)]
-    doubt = calibration["ambiguous_share"] * _doubted(candidates, z)
-    probabilities |= _shares(plain, candidates, sets * (1 - doubt))
+    doubted = np.where(unlisted, 0.0, sets * calibration["ambiguous_share"] * _doubted(candidates, z))
+    sets, doubt = sets - doubted, float(doubted.sum())
+    probabilities |= _shares(plain, candidates, sets)
     probabilities[NONE] = float(p[-2])
-    probabilities[UNKNOWN] = float(p[-1] + sets[unlisted].sum() + (sets * doubt)[~unlisted].sum())
-    return _judged(candidates, sets, probabilities, calibration)
+    probabilities[UNKNOWN] = float(p[-1] + sets[unlisted].sum() + doubt)
+    return replace(_judged(candidates, sets, probabilities, calibration), doubt=doubt)
 
 
 def _judged(
@@ -315,12 +324,14 @@ def with_layers(
     listed = of_sets.max() / (of_sets.max() + float(np.exp(rows[len(layers) :].max() - rows.max())))
     # and where even that leaves much, it is neither
     listed /= 1 + _odds_of_unlisted(left / _gap(plain, samples), c)
+    # the doubt about a set that is ambiguous by itself is not taken back by a law on top
+    open_to_all = decision.probabilities[UNKNOWN] - decision.doubt
     moved = np.zeros(len(candidates))
-    moved[list(layers)] = decision.probabilities[UNKNOWN] * listed * of_sets / of_sets.sum()
+    moved[list(layers)] = open_to_all * listed * of_sets / of_sets.sum()
     shares, moved = _without_doubt(plain, candidates, moved, mended, c["ambiguous_share"])
     probabilities = {n: p + shares.get(n, 0.0) for n, p in decision.probabilities.items()}
     probabilities[UNKNOWN] = decision.probabilities[UNKNOWN] - float(moved.sum())
-    return _judged(candidates, decision.sets + moved, probabilities, c)
+    return replace(_judged(candidates, decision.sets + moved, probabilities, c), doubt=decision.doubt)
 
 
 def _without_doubt(
@@ -351,10 +362,13 @@ def _doubted(candidates: Sequence[Candidate], z: np.ndarray) -> np.ndarray:
     return np.array([candidates[best[x.answer]].ambiguous for x in candidates], dtype=float)
 
 
-def share_of_other(costs: tuple[float, float], c: DiagnosisCalibrationSettings) -> float:
-    """Probability of the other hold, of the costs (`cost_of_answer`) of the answers for one and the other."""
+def share_of_other(costs: tuple[float, float], left: float, c: DiagnosisCalibrationSettings) -> float:
+    """Probability of the other hold, of the costs (`cost_of_answer`) of the answers for one and the other.
+
+    ``left`` is what the set that leaves least under either leaves beyond noise.
+    """
     better = min(costs)
-    own, other = (log_likelihood(cost - better, 0.0, c) for cost in costs)
+    own, other = (log_likelihood(cost - better, left, c) for cost in costs)
     return float(1 / (1 + np.exp(np.clip(own - other, -50, 50))))
 
 

@@ -8,44 +8,13 @@ that is left, the distance that the numbers moved, and how much the trial narrow
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following, prior_widths
+from real2sim.diagnosis.predicted import Predicted, information, predict
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, prior_widths
 from real2sim.diagnosis.search import Pair, failed
-from real2sim.diagnosis.sensors import by_sensor
-from real2sim.inference.least_squares import bounded_step
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """Chi-squared that a set leaves of a further trial by sensor, and what the predictive likelihood adds to it."""
-
-    by_sensor: tuple[float, ...]
-    occam: float
-
-    @property
-    def chi2(self) -> float:
-        """Chi-squared of all sensors."""
-        return sum(self.by_sensor)
-
-
-def information(pair: Pair, hypothesis: Hypothesis) -> np.ndarray:
-    """Return what both trials and the priors tell of a hypothesis' searched numbers: normal matrix (n + p, n + p)."""
-    everything = np.arange(len(hypothesis.z))
-    total = np.zeros((len(everything), len(everything)))
-    for evidence in (pair.train, pair.held_out):
-        problem = following(evidence, hypothesis, pair.system, coarse=True)
-        _, jacobian = problem.with_jacobian(hypothesis.z, everything)
-        # rows of the priors count once
-        rows = jacobian[: evidence.rows] if evidence is pair.held_out else jacobian
-        total += rows.T @ rows
-    # a number without a prior of its own has a uniform one between its bounds
-    width = prior_widths(problem.prior_sd, problem.lower, problem.upper)
-    total[np.diag_indices_from(total)] += np.where(np.isfinite(problem.prior_sd), 1e-9, 1 / width**2)
-    return total
 
 
 def predict_further(
@@ -59,7 +28,7 @@ def predict_further(
         return []
     own, z = _of_each_trial(pair, hypothesis), hypothesis.z.copy()
     z[own] = 0.0
-    known = information(pair, hypothesis)
+    known = information((pair.train, pair.held_out), hypothesis, pair.system)
     moved, out = np.zeros(len(z)), []
     for evidence in further:
         problem = JointResiduals(evidence, hypothesis.effects, pair.system, coarse=True)
@@ -70,24 +39,13 @@ def predict_further(
         known[own], known[:, own] = 0.0, 0.0
         width = prior_widths(problem.prior_sd, problem.lower, problem.upper)
         known[own, own] = 1 / width[own] ** 2
-        if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
-            out.append(Predicted(failed(len(evidence.sensors)), 0.0))
-            continue
-        here = r + jacobian @ moved
         # a coefficient of a trial's own history acts linearly however far it goes
         furthest = np.where(own, np.inf, longest)
         lower = np.maximum(problem.lower - z, -furthest) - moved
         upper = np.minimum(problem.upper - z, furthest) - moved
-        more = known + jacobian.T @ jacobian
-        step = bounded_step(more, jacobian.T @ here, lower, upper)
-        narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
-        left = by_sensor((here + jacobian @ step)[None], evidence.sensors.values())[0].tolist()
-        moved_by = float(step @ known @ step + narrowed)
-        if not np.isfinite([*left, moved_by]).all():
-            out.append(Predicted(failed(len(evidence.sensors)), 0.0))
-            continue
-        out.append(Predicted(tuple(left), moved_by))
-        known, moved = more, moved + step
+        told, step, known = predict(evidence, r + jacobian @ moved, jacobian, known, (lower, upper))
+        out.append(told or Predicted(failed(len(evidence.sensors)), 0.0, 0.0))
+        moved = moved + step
     return out
 
 

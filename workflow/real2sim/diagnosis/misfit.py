@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import Decision, decide
+from real2sim.diagnosis.decide import Candidate, Decision, decide
 from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.kin import gives_way, is_kin_of
 from real2sim.diagnosis.law import named_family, size
@@ -30,14 +30,23 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """A measured law that competes with the names: its deviance is counted higher by the ``handicap``."""
+
+    law: Law
+    handicap: float
+    probability: float
+
+
+@dataclass(frozen=True)
 class Misfit:
     """Chi-squared that a named set, ``key``, leaves, and the laws that could explain it.
 
     ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
     ``sensor``: where most of it is, both trials together; ``share``: of what the plain plant leaves beyond noise, on
     both trials. ``measured`` are the laws without a name, None where nothing is left that they could explain; ``law``
-    is the family that explains most beside the set; ``rival`` is the probability of the first of the measured laws,
-    None where it does not compete.
+    is the family that explains most beside the set; ``rival`` is the measured law that competes with the names, if one
+    does.
     """
 
     key: str
@@ -47,7 +56,7 @@ class Misfit:
     marked: bool
     measured: Measured | None = None
     law: Law | None = None
-    rival: float | None = None
+    rival: Rival | None = None
 
     def to_dict(self, found: Found) -> dict[str, Any]:
         """Return the entry ``misfit`` of diagnosis.json."""
@@ -76,7 +85,7 @@ def misfit_of(
     ``options`` is the slice ``diagnosis`` of the configuration.
     """
     search, plain = Search(found.pair, options["search"]), found.attribution.plain
-    left = _left(found, named, options)
+    left = _left(search, named, plain)
     sd = left.sd
     if search.is_noise(named):
         return left
@@ -101,26 +110,48 @@ def _reach(left: float, share: float, samples: int, settings: DiagnosisSearchSet
 def told_apart(
     misfit: Misfit, found: Found, decision: Decision, options: DiagnosisSettings
 ) -> tuple[Decision, Misfit]:
-    """Return the decision with the measured law among the candidates, and the misfit with that law's probability.
+    """Return the decision with a measured law among the candidates, and the misfit with that law.
 
     A law of the kind and place of a named effect does not compete: it is that effect with another equation. Nor does a
-    free history on the effect's axis that gains hardly more.
+    free history on the effect's axis that gains hardly more. The best of the others does, and what a law of the name's
+    kind leaves too says nothing against the name.
     """
-    named = chosen(found.attribution, decision)
-    if misfit.measured is None or not misfit.measured.laws:
+    if decision.chosen is None or misfit.measured is None:
         return decision, misfit
-    measured, law = misfit.measured, misfit.measured.laws[0]
-    main_share = options["free_form"]["main_share"]
-    if decision.chosen is not None and not is_kin_of(law, named, measured.library, found.pair, main_share):
-        plain, sets = candidates_of(found, options)
-        rival = found.candidate(law.hypothesis, options, [f.key for f in law.families])
-        by_name, by_law = (plain.deviance - x.deviance for x in (sets[decision.chosen], rival))
-        if gives_way(law, named, (by_name, by_law), options["search"]["grow_share"]):
-            return decision, misfit
-        with_rival = decide(plain, [*sets, rival], found.samples, options["calibration"])
-        misfit = replace(misfit, rival=float(with_rival.sets[-1]))
-        decision = replace(with_rival, sets=with_rival.sets[:-1])
-    return decision, misfit
+    plain, sets = candidates_of(found, options)
+    named = sets[decision.chosen]
+    rival, own_kind = _best_rival(misfit.measured, found, decision, (plain, named), options)
+    if rival is None:
+        return decision, misfit
+    law, told = rival
+    handicap = named.deviance - min(own_kind, named.deviance)
+    handicapped = replace(told, occam=told.occam + handicap)
+    with_rival = decide(plain, [*sets, handicapped], found.samples, options["calibration"])
+    misfit = replace(misfit, rival=Rival(law, handicap, float(with_rival.sets[-1])))
+    return replace(with_rival, sets=with_rival.sets[:-1]), misfit
+
+
+def _best_rival(
+    measured: Measured,
+    found: Found,
+    decision: Decision,
+    compared: tuple[Candidate, Candidate],
+    options: DiagnosisSettings,
+) -> tuple[tuple[Law, Candidate] | None, float]:
+    """Return the best law that speaks against the named set, and the least deviance of a law of the set's own kind.
+
+    ``compared`` are the plain plant and the named set. A law that gives way to the name is neither.
+    """
+    named, main_share = chosen(found.attribution, decision), options["free_form"]["main_share"]
+    rivals, own_kind = [], float("inf")
+    for law in measured.laws:
+        told = found.candidate(law.hypothesis, options, [f.key for f in law.families])
+        by_name, by_law = (compared[0].deviance - x.deviance for x in (compared[1], told))
+        if is_kin_of(law, named, measured.library, found.pair, main_share):
+            own_kind = min(own_kind, told.deviance)
+        elif not gives_way(law, named, (by_name, by_law), options["search"]["grow_share"]):
+            rivals.append((law, told))
+    return min(rivals, key=lambda pair: pair[1].deviance, default=None), own_kind
 
 
 def with_law(
@@ -132,16 +163,16 @@ def with_law(
     """
     named, index = chosen(found.attribution, decision), decision.chosen
     if misfit is None or misfit.key != named.key:
-        misfit = replace(_left(found, named, options), marked=True, measured=layers.measured)
+        search, plain = Search(found.pair, options["search"]), found.attribution.plain
+        misfit = replace(_left(search, named, plain), marked=True, measured=layers.measured)
     if index in layers.beside:
         return replace(misfit, law=layers.beside[index])
     share = options["search"]["grow_share"]
     return replace(misfit, law=layers.measured.on_top(named, options["free_form"], share))
 
 
-def _left(found: Found, named: Hypothesis, options: DiagnosisSettings) -> Misfit:
+def _left(search: Search, named: Hypothesis, plain: Hypothesis) -> Misfit:
     """Return the misfit of a named set, not marked yet."""
-    search, plain = Search(found.pair, options["search"]), found.attribution.plain
     share = search.beyond(named) / max(search.beyond(plain), float(np.sqrt(2 * sum(search.samples))))
     return Misfit(
         named.key, search.excess_of_trials(named), search.loudest_sensor(named), share, marked=False

@@ -7,17 +7,17 @@ them: in units of the noise, the square root of that chi-squared is a number of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import Decision
+from real2sim.diagnosis.decide import UNKNOWN, Decision
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law
-from real2sim.diagnosis.further import information
+from real2sim.diagnosis.predicted import information
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals, following
 from real2sim.diagnosis.search import Pair
 from real2sim.inference.least_squares import bounded_step
@@ -35,25 +35,30 @@ class Rival:
     hypothesis: Hypothesis
 
 
-def rivals_of(attribution: Attribution, decision: Decision, laws: Sequence[Law]) -> list[Rival]:
-    """Return the two likeliest answers: measured laws where nothing is named, then sets by their probability.
+def rivals_of(
+    attribution: Attribution, decision: Decision, laws: Sequence[Law], shares: Sequence[float]
+) -> list[Rival]:
+    """Return the two likeliest answers, of sets and measured laws together.
 
-    Laws that share families say the same in part and are no rivals; sets of the same names are one answer.
+    The probability of `unknown` is that of the laws, by their ``shares`` (laws,). Laws that share families say the same
+    in part and are no rivals; sets of the same names are one answer.
     """
-    out: list[Rival] = []
-    told: set[str] = set()
-    for law in laws if decision.chosen is None else ():
+    ranked: list[tuple[float, set[Hashable], Rival]] = []
+    for law, share in zip(laws, shares, strict=True):
         keys = [family.key for family in law.families]
-        if not told & set(keys) and len(out) < 2:
-            more = f" (and {len(keys) - 1} more)" if len(keys) > 1 else ""
-            out.append(Rival(keys[0] + more, law.hypothesis))
-            told |= set(keys)
-    named: dict[frozenset[str], Rival] = {}
-    for index in np.argsort(-decision.sets):
-        hypothesis = attribution.hypotheses[int(index)]
+        more = f" (and {len(keys) - 1} more)" if len(keys) > 1 else ""
+        rival = Rival(keys[0] + more, law.hypothesis)
+        ranked.append((decision.probabilities[UNKNOWN] * share, set(keys), rival))
+    for hypothesis, probability in zip(attribution.hypotheses, decision.sets, strict=True):
         name = " + ".join(n.replace("_", " ") for n in hypothesis.names)
-        named.setdefault(frozenset(hypothesis.names), Rival(name, hypothesis))
-    return [*out, *named.values()][:2]
+        ranked.append((float(probability), {frozenset(hypothesis.names)}, Rival(name, hypothesis)))
+    out: list[Rival] = []
+    told: set[Hashable] = set()
+    for _, own, rival in sorted(ranked, key=lambda row: -row[0]):
+        if told.isdisjoint(own):
+            out.append(rival)
+            told |= own
+    return out[:2]
 
 
 def axes_of(rivals: Sequence[Rival], pair: Pair, shares: dict[str, float], most: int) -> list[str]:
@@ -76,7 +81,9 @@ def propose(
     """
     if len(rivals) < 2:
         return None
-    told_by_both = [information(pair, rival.hypothesis) for rival in rivals]
+    told_by_both = [
+        information((pair.train, pair.held_out), rival.hypothesis, pair.system) for rival in rivals
+    ]
 
     def apart(evidence: Evidence) -> float:
         return min(

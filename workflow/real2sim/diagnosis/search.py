@@ -17,6 +17,7 @@ import scipy
 from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.predicted import predict_held_out
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit, refit_freely
 from real2sim.diagnosis.sensors import above, are_on_floor, by_sensor, pooled
 from real2sim.effects.catalogue import Placed
@@ -135,6 +136,7 @@ class Search:
         self.evaluations = 0
         self._counting = Lock()
         self._noise: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
+        self._predicted: dict[tuple[str, bytes], tuple[float, ...]] = {}
         self._screened_from: Tangent | None = None
 
     @property
@@ -230,24 +232,36 @@ class Search:
     def excess(self, hypothesis: Hypothesis) -> float:
         """Return what a hypothesis leaves beyond noise, in SD of what noise leaves.
 
-        Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it.
+        Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it, and
+        of the held-out trial counts what numbers leave that may move as far as the fitted one lets them.
         """
-        left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
-        out = _excess(left, expected, self.on_floor, None)
+        expected = pooled(self.samples_by_sensor)
+        out = _excess(pooled(hypothesis.by_sensor), expected, self.on_floor, None)
         if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
             return out
         train, held_out = self._noise_of(hypothesis)
-        return _excess(left, expected, self.on_floor, train + held_out)
+        return _excess(pooled(self._left_by(hypothesis)), expected, self.on_floor, train + held_out)
+
+    def _left_by(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
+        """Chi-squared by sensor, trial by trial, the held-out one predicted with what the fitted one leaves open."""
+        fitted, held_out = hypothesis.by_sensor
+        key = hypothesis.key, hypothesis.z.tobytes()
+        if key not in self._predicted:
+            pair, longest = self.pair, self._settings["longest_step"]
+            told = predict_held_out(pair.train, pair.held_out, hypothesis, pair.system, longest)
+            self._predicted[key] = held_out if told is None else told.of_fixed(held_out)
+        return fitted, self._predicted[key]
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
         """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
-        each = zip(hypothesis.by_sensor, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
+        left = self._left_by(hypothesis)
+        each = zip(left, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
         train, held_out = (_excess(left, expected, self.on_floor, draws) for left, expected, draws in each)
         return train, held_out
 
     def loudest_sensor(self, hypothesis: Hypothesis) -> str:
         """Return the name of the sensor whose `excess` is the largest, of those that were recorded."""
-        left, expected = pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor)
+        left, expected = pooled(self._left_by(hypothesis)), pooled(self.samples_by_sensor)
         train, held_out = self._noise_of(hypothesis)
         each = zip(self.pair.train.sensors, left, expected, (train + held_out).T, strict=True)
         excess = {name: _excess([a], [n], [False], draws[:, None]) for name, a, n, draws in each if n > 0}

@@ -19,6 +19,7 @@ from real2sim.diagnosis.attribute import (
     candidates,
     finished,
     is_ambiguous,
+    missing_parts,
     plain_fit,
     without_names,
 )
@@ -32,7 +33,8 @@ from real2sim.diagnosis.decide import (
     is_out_of_reach,
 )
 from real2sim.diagnosis.evidence import BALANCE, START_POSE, Evidence
-from real2sim.diagnosis.further import Predicted, predict_further
+from real2sim.diagnosis.further import predict_further
+from real2sim.diagnosis.predicted import Predicted
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search, samples_by_sensor
 from real2sim.diagnosis.sensors import above, pooled
@@ -184,6 +186,12 @@ class Found:
         evidence = (self.pair.train, self.pair.held_out, *self.further)
         common = in_common(self.attribution.plain, evidence)
         return cost_of_answer(*sets, self.samples, options["calibration"]) + common
+
+    def left(self, options: DiagnosisSettings) -> float:
+        """Return the chi-squared beyond the noise allowance that the best set leaves, or the plain plant."""
+        plain, sets = candidates_of(self, options)
+        share = options["calibration"]["noise_share"]
+        return min(x.beyond(self.samples, share) for x in (plain, *sets))
 
 
 @dataclass(frozen=True)
@@ -350,7 +358,10 @@ def candidates_of(found: Found, options: DiagnosisSettings) -> tuple[Candidate, 
 
 
 def conclude(found: Found, options: DiagnosisSettings) -> Decision:
-    """Return the decision, once the sets that it rests on have converged; changes those hypotheses in place."""
+    """Return the decision, once the sets that it rests on have converged; changes those hypotheses in place.
+
+    Without each of its effects the named set has been refitted too.
+    """
     pair, attribution = found.pair, found.attribution
     converged: set[int] = set()
     while True:
@@ -363,7 +374,14 @@ def conclude(found: Found, options: DiagnosisSettings) -> Decision:
         far = decision.probabilities[UNKNOWN] > options["search"]["certain_unknown"]
         known = decision.verdict == NONE or far or likeliest in converged | {-1}
         if known or len(converged) == options["search"]["final_refits"]:
-            return decision
+            fitted = attribution.hypotheses
+            if decision.chosen is None:
+                return decision
+            parts = missing_parts(pair, fitted[decision.chosen], fitted, options["search"])
+            if not parts:
+                return decision
+            fitted.extend(parts)
+            continue
         converged.add(likeliest)
         hypothesis = attribution.hypotheses[likeliest]
         attribution.hypotheses[likeliest] = finished(pair, hypothesis, options["search"])

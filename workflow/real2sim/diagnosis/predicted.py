@@ -1,0 +1,112 @@
+"""What a hypothesis leaves of a trial that it was not fitted to, with numbers that move as far as is left open.
+
+The numbers of a fit are known as well as its trials let them be. With fixed numbers, a true law leaves more than noise
+of another trial that tells those better: what it leaves is the error of the fit, and says nothing against the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.refit import Hypothesis, following, prior_widths
+from real2sim.diagnosis.sensors import by_sensor
+from real2sim.inference.least_squares import bounded_step
+from real2sim.system.description import System
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Chi-squared that a set leaves of another trial by sensor, and what the predictive likelihood adds to it.
+
+    ``distance``: how far its numbers moved, in units of what was known of them; ``narrowed``: by how much the trial
+    tells them better (difference of the log-determinants of their information).
+    """
+
+    by_sensor: tuple[float, ...]
+    distance: float
+    narrowed: float
+
+    @property
+    def chi2(self) -> float:
+        """Chi-squared of all sensors."""
+        return sum(self.by_sensor)
+
+    @property
+    def occam(self) -> float:
+        """Term that the predictive likelihood adds to chi-squared."""
+        return self.distance + self.narrowed
+
+    def of_fixed(self, fixed: Sequence[float]) -> tuple[float, ...]:
+        """Return chi-squared with the distance in it by sensor (s,), of what ``fixed`` numbers (s,) leave.
+
+        With the covariance of noise and of what is not known of the numbers it is a quadratic form of the residuals
+        that fixed numbers leave, which is expected to be their number. What it is less than theirs is taken from the
+        sensors that gain by the move.
+        """
+        gained = np.maximum(np.subtract(fixed, self.by_sensor), 0.0)
+        less = max(sum(fixed) - self.chi2 - self.distance, 0.0)
+        shares = gained / gained.sum() if gained.sum() > 0 else np.zeros(len(gained))
+        return tuple((np.asarray(fixed) - less * shares).tolist())
+
+
+def information(trials: Sequence[Evidence], hypothesis: Hypothesis, system: System) -> np.ndarray:
+    """Return what trials and the priors tell of a hypothesis' searched numbers: normal matrix (n + p, n + p).
+
+    ``trials`` are the fitted one and, where it has told too, the held-out one.
+    """
+    everything = np.arange(len(hypothesis.z))
+    total = np.zeros((len(everything), len(everything)))
+    for index, evidence in enumerate(trials):
+        problem = following(evidence, hypothesis, system, coarse=True)
+        _, jacobian = problem.with_jacobian(hypothesis.z, everything)
+        # rows of the priors count once
+        rows = jacobian[: evidence.rows] if index else jacobian
+        total += rows.T @ rows
+    # a number without a prior of its own has a uniform one between its bounds
+    width = prior_widths(problem.prior_sd, problem.lower, problem.upper)
+    total[np.diag_indices_from(total)] += np.where(np.isfinite(problem.prior_sd), 1e-9, 1 / width**2)
+    return total
+
+
+def predict(
+    evidence: Evidence,
+    residuals: np.ndarray,
+    slopes: np.ndarray,
+    known: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> tuple[Predicted | None, np.ndarray, np.ndarray]:
+    """Return the prediction of a trial, the step (m,) of the numbers, and what is known of them then (m, m).
+
+    ``residuals`` (n_r,) and their ``slopes`` (n_r, m) are those of the trial, ``known`` (m, m) is what was known of the
+    numbers, ``bounds`` (m,) each are those of the step. None where the simulation does not bear it.
+    """
+    step = np.zeros(len(known))
+    if not (np.isfinite(residuals).all() and np.isfinite(slopes).all()):
+        return None, step, known
+    more = known + slopes.T @ slopes
+    step = bounded_step(more, slopes.T @ residuals, *bounds)
+    narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
+    left = by_sensor((residuals + slopes @ step)[None], evidence.sensors.values())[0].tolist()
+    out = Predicted(tuple(left), float(step @ known @ step), float(narrowed))
+    if not np.isfinite([*left, out.occam]).all():
+        return None, np.zeros(len(known)), known
+    return out, step, more
+
+
+def predict_held_out(
+    train: Evidence, held_out: Evidence, hypothesis: Hypothesis, system: System, longest: float
+) -> Predicted | None:
+    """Return what a hypothesis that was fitted to one trial leaves of the held-out one; None where it fails.
+
+    ``longest`` is the longest step of a searched number that a tangent is believed for.
+    """
+    z = hypothesis.z
+    problem = following(held_out, hypothesis, system, coarse=True)
+    r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
+    bounds = np.maximum(problem.lower - z, -longest), np.minimum(problem.upper - z, longest)
+    known = information((train,), hypothesis, system)
+    return predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)[0]

@@ -14,6 +14,7 @@ import sys
 import traceback
 import types
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints, is_typeddict
 
 from real2sim import settings
@@ -144,6 +145,20 @@ def _parse(command: str, function: Callable[..., None], arguments: Sequence[str]
     }
 
 
+def _missing(given: dict[str, Any], error: FileNotFoundError) -> Exception:
+    """Return the refusal of a path that was given and is not there; the error itself where none of them is."""
+    from real2sim.errors import InputError
+
+    named = {str(error.filename), *map(str, error.args)}
+    for name, value in given.items():
+        for path in value if isinstance(value, list) else [value]:
+            if isinstance(path, Path) and str(path) in named and not path.exists():
+                expected = f"what --{name.replace('_', '-')} takes: a file or folder that is there"
+                remedy = "Correct the path, or let Snakemake make the file: it runs the stage that writes it."
+                return InputError(path, "", "nothing there", expected, remedy)
+    return error
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run one stage; exit code 2 for bad input, whose message names the file and the remedy."""
     # one job uses the threads it was given: linear algebra libraries would take every core
@@ -161,7 +176,11 @@ def main(arguments: Sequence[str]) -> int:
     command, *rest = arguments
     function = _load(command)
     try:
-        function(**_parse(command, function, rest))
+        given = _parse(command, function, rest)
+        try:
+            function(**given)
+        except FileNotFoundError as error:
+            raise _missing(given, error) from error
     except InputError as error:
         print(f"\n{FAILED} '{command}': {error}\n", file=sys.stderr)
         return 2

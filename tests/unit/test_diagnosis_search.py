@@ -165,12 +165,14 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
-    told = Predicted((5600.0,), 400.0, 3.0)
+    told = Predicted((5600.0,), 400.0, 3.0, (400.0,))
     monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: told)
     assert abs(search.excess(found)) < 0.1
     assert search.is_noise(found)
     # what numbers leave that may move by as much as the fitted trial lets them is no misfit
     further = replace(found, chi2=(6000.0, 8000.0), z=np.full(13, 0.5))
+    told = Predicted((5600.0,), 400.0, 3.0, (2400.0,))
+    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: told)
     assert abs(search.excess(further)) < 0.1
     monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: None)
     assert search.excess(replace(further, z=np.full(13, 0.6))) > 1

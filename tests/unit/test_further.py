@@ -78,7 +78,7 @@ def test_the_error_of_a_fit_is_no_misfit_of_the_held_out_trial(pair):
     assert exact < fixed
     assert told.of_fixed((fixed,)) == pytest.approx((exact,))
     # what is less is taken from the sensor that gains, and none gets more
-    markers, log = Predicted((60.0, 50.0), 15.0, 0.0).of_fixed((100.0, 40.0))
+    markers, log = Predicted((60.0, 50.0), 15.0, 0.0, (40.0, -10.0)).of_fixed((100.0, 40.0))
     assert (markers, log) == (pytest.approx(85.0), 40.0)
 
 

@@ -23,12 +23,14 @@ class Predicted:
     """Chi-squared that a set leaves of another trial by sensor, and what the predictive likelihood adds to it.
 
     ``distance``: how far its numbers moved, in units of what was known of them; ``narrowed``: by how much the trial
-    tells them better (difference of the log-determinants of their information).
+    tells them better (difference of the log-determinants of their information). ``gained``: how much less it leaves, by
+    sensor, than without a move.
     """
 
     by_sensor: tuple[float, ...]
     distance: float
     narrowed: float
+    gained: tuple[float, ...] = ()
 
     @property
     def chi2(self) -> float:
@@ -45,12 +47,12 @@ class Predicted:
 
         With the covariance of noise and of what is not known of the numbers it is a quadratic form of the residuals
         that fixed numbers leave, which is expected to be their number. What it is less than theirs is taken from the
-        sensors that gain by the move.
+        sensors that gain by the move. (``fixed`` may be of a finer time step than the move.)
         """
-        gained = np.maximum(np.subtract(fixed, self.by_sensor), 0.0)
-        less = max(sum(fixed) - self.chi2 - self.distance, 0.0)
-        shares = gained / gained.sum() if gained.sum() > 0 else np.zeros(len(gained))
-        return tuple((np.asarray(fixed) - less * shares).tolist())
+        gained = np.maximum(self.gained, 0.0)
+        less = max(sum(self.gained) - self.distance, 0.0)
+        shares = gained / gained.sum() if less > 0 else np.zeros(len(gained))
+        return tuple(np.maximum(np.asarray(fixed) - less * shares, 0.0).tolist())
 
 
 def information(trials: Sequence[Evidence], hypothesis: Hypothesis, system: System) -> np.ndarray:
@@ -90,8 +92,10 @@ def predict(
     more = known + slopes.T @ slopes
     step = bounded_step(more, slopes.T @ residuals, *bounds)
     narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
-    left = by_sensor((residuals + slopes @ step)[None], evidence.sensors.values())[0].tolist()
-    out = Predicted(tuple(left), float(step @ known @ step), float(narrowed))
+    before, left = by_sensor(np.stack([residuals, residuals + slopes @ step]), evidence.sensors.values())
+    out = Predicted(
+        tuple(left.tolist()), float(step @ known @ step), float(narrowed), tuple((before - left).tolist())
+    )
     if not np.isfinite([*left, out.occam]).all():
         return None, np.zeros(len(known)), known
     return out, step, more

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,28 +132,35 @@ def test_terms_of_one_name_are_one_function():
     assert len(functions) == len(values)
 
 
-def test_both_forces_of_an_elastic_coupling_derive_from_one_potential():
+@pytest.mark.parametrize(("coordinates", "families_of_them"), [(2, 15), (3, 20)])
+def test_all_forces_of_an_elastic_coupling_derive_from_one_potential(coordinates, families_of_them):
     system = shipped_system("strap")
     names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
     force = {axis.joint: 10.0 + i for i, axis in enumerate(system.axes)}
     large = {axis.joint: 0.01 * (i + 1) for i, axis in enumerate(system.axes)}
     found = [f for f in families(system, names, force, large, 12.0) if f.kind == "elastic coupling"]
-    assert len(found) == 15
-    a, b = found[0].axes
-    first, second = (next(axis.joint for axis in system.axes if axis.name == x) for x in (a, b))
-    wide = {f"q_{x}": Range(-9.0, 9.0) for x in (a, b)}
+    found = [f for f in found if len(f.axes) == coordinates]
+    assert len(found) == families_of_them
+    joint_of = {axis.name: axis.joint for axis in system.axes}
+    wide = {f"q_{x}": Range(-9.0, 9.0) for x in found[0].axes}
+    here = dict(zip(found[0].axes, (0.4, 0.7, -0.5), strict=False))
 
-    def forces(qa, qb, row):
-        of = {f"q_{x}": Variable(f"q_{x}", "m", 1.0, np.array([q])) for x, q in ((a, qa), (b, qb))}
-        at = {t.joint: force[t.joint] * t.factor * t.basis(of, wide, 0.01)[0] for t in row}
-        return at[first], at[second]
+    def force_along(axis, row, **moved):
+        at = here | moved
+        of = {f"q_{x}": Variable(f"q_{x}", "m", 1.0, np.array([q])) for x, q in at.items()}
+        joint = joint_of[axis]
+        return sum(force[joint] * t.factor * t.basis(of, wide, 0.01)[0] for t in row if t.joint == joint)
 
     step = 1e-5
-    for row in (r for r in found[0].terms if len(r) == 2):
-        # d F_a / d q_b = d F_b / d q_a, in metres and not in units of a large excursion
-        by_b = (forces(0.4, 0.7 + step, row)[0] - forces(0.4, 0.7, row)[0]) / (step * large[second])
-        by_a = (forces(0.4 + step, 0.7, row)[1] - forces(0.4, 0.7, row)[1]) / (step * large[first])
-        assert by_b == pytest.approx(by_a, rel=1e-3)
+    coupled = [row for row in found[0].terms if len(row) > 1]
+    assert all(len(row) == coordinates for row in coupled)
+    for row in coupled:
+        for a, b in itertools.combinations(here, 2):
+            # d F_a / d q_b = d F_b / d q_a, in metres and not in units of a large excursion
+            by_b = force_along(a, row, **{b: here[b] + step}) - force_along(a, row)
+            by_a = force_along(b, row, **{a: here[a] + step}) - force_along(b, row)
+            by_b, by_a = by_b / large[joint_of[b]], by_a / large[joint_of[a]]
+            assert by_b == pytest.approx(by_a, rel=1e-3, abs=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, permutations
+from itertools import product as product_of
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -43,8 +44,8 @@ _UNITS = {
 # prior that falls with the order makes rough ones rare
 OWN_ORDERS = (0, 2, 3, 4, 5, 6, 8)
 ORDERS = (1, 2, 3, 4, 5, 6)
-# Powers of two coordinates in their common potential; what is of one alone is a polynomial of `ALONE` orders
-POTENTIAL = tuple((i, k - i) for k in (2, 3, 4, 5) for i in range(k - 1, 0, -1))
+# Highest order of a common potential of several coordinates; what is of one alone is a polynomial of `ALONE` orders
+HIGHEST = 5
 ALONE = (2, 3, 4, 5)
 # Fastest change of a force or gain of which nothing is known but that it is slow, and of a rhythm [Hz]
 FASTEST_HZ = 3.2
@@ -358,9 +359,10 @@ def families(
         out += _own(axis.name, axis.joint)
         out += _of_time("interface", axis.name, axis.joint, waves, (f"q_{axis.name}", f"v_{axis.name}"))
         out += _modulated(axis.name, axis.joint, [n for n in (*POSTURE, *PLACE) if n in known])
-    for a, b in combinations(axes, 2):
-        units = tuple((force_of[x.joint], q_of[x.joint]) for x in (a, b))
-        out.append(_potential((a.name, b.name), (a.joint, b.joint), units))
+    for several in (*combinations(axes, 2), *combinations(axes, 3)):
+        units = tuple((force_of[x.joint], q_of[x.joint]) for x in several)
+        names, joints = (tuple(getattr(x, key) for x in several) for key in ("name", "joint"))
+        out.append(_potential(names, joints, units))
     for a, b in permutations(axes, 2):
         out += _coupled(a.name, a.joint, b.name)
     if all(f"acceleration_{axis.name}" in known for axis in axes) and len(axes) == 6:
@@ -475,24 +477,33 @@ def _modulated(axis: str, joint: str, names: Sequence[str]) -> Iterator[Family]:
 
 
 def _potential(
-    axes: tuple[str, str], joints: tuple[str, str], units: tuple[tuple[float, float], ...]
+    axes: tuple[str, ...], joints: tuple[str, ...], units: tuple[tuple[float, float], ...]
 ) -> Family:
-    """Both forces derive from one potential of two coordinates."""
-    a, b = (f"q_{axis}" for axis in axes)
-    energy = float(np.sqrt(np.prod([f * x for f, x in units])))
+    """All forces derive from one potential of two or three coordinates.
+
+    Of three, only what depends on all of them: a potential of two is a family of its own, which may join.
+    """
+    names = tuple(f"q_{axis}" for axis in axes)
+    energy = float(np.prod([f * x for f, x in units]) ** (1 / len(units)))
     factor = [energy / (f * x) for f, x in units]
     terms: list[tuple[Term, ...]] = []
-    for i, j in POTENTIAL:
-        weight = 1 / (i + j - 1)
-        terms.append(
-            (
-                times(joints[0], {a: i - 1, b: j}, (), weight, i * factor[0]),
-                times(joints[1], {a: i, b: j - 1}, (), weight, j * factor[1]),
-            )
-        )
-    for name, joint in zip((a, b), joints, strict=True):
+    for powers in _powers(len(axes)):
+        row = []
+        for i, joint in enumerate(joints):
+            slope = {
+                name: power - (k == i) for k, (name, power) in enumerate(zip(names, powers, strict=True))
+            }
+            row.append(times(joint, slope, (), 1 / (sum(powers) - 1), powers[i] * factor[i]))
+        terms.append(tuple(row))
+    for name, joint in zip(names, joints, strict=True) if len(axes) == 2 else ():
         terms += [(_legendre(name, joint, k),) for k in ALONE]
-    return Family("elastic coupling", "interface", "elastic coupling", axes, (a, b), tuple(terms))
+    return Family("elastic coupling", "interface", "elastic coupling", axes, names, tuple(terms))
+
+
+def _powers(coordinates: int) -> list[tuple[int, ...]]:
+    """Powers of coordinates that a potential depends on together, up to its `HIGHEST` order."""
+    every = product_of(range(1, HIGHEST), repeat=coordinates)
+    return sorted((p for p in every if sum(p) <= HIGHEST), key=lambda p: (sum(p), [-k for k in p]))
 
 
 def _inertial(axes: Sequence[tuple[str, str]]) -> Family:

@@ -195,20 +195,28 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
     assert refitted == ["filter_lag"]
 
 
-def test_credit_does_not_depend_on_which_smaller_sets_were_tried(monkeypatch):
+@pytest.mark.parametrize("axes", [1, 2])
+def test_credit_does_not_depend_on_which_smaller_sets_were_tried(monkeypatch, axes):
     """Of friction with slack, only the friction was fitted alone: without it only the plain fit would be left."""
-    own = {e.name: Placed(e, e.places(STRAP)[0], SCALES) for e in reversed(EFFECTS)}
-    size = {name: len(placed.effect.parameters) for name, placed in own.items()}
+    listed = {e.name: e for e in reversed(EFFECTS)}
+    own = {
+        "coulomb": tuple(
+            Placed(listed["coulomb"], w, SCALES) for w in listed["coulomb"].places(STRAP)[:axes]
+        ),
+        "slack": (Placed(listed["slack"], listed["slack"].places(STRAP)[0], SCALES),),
+    }
     left = {("coulomb",): 9000.0, ("slack",): 3500.0, ("coulomb", "slack"): 2880.0}
 
     def fit_of(*names):
-        z = np.zeros(12 + sum(size[name] for name in names))
-        return Hypothesis(tuple(own[name] for name in names), z, (left[names], left[names]), converged=True)
+        effects = tuple(placed for name in names for placed in own[name])
+        z = np.zeros(12 + sum(len(placed.effect.parameters) for placed in effects))
+        return Hypothesis(effects, z, (left[names], left[names]), converged=True)
 
     found = [fit_of("coulomb", "slack"), fit_of("coulomb")]
     attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
     pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,))
-    refit = lambda self, effects, start, **more: fit_of(*(p.effect.name for p in effects))  # noqa: E731
+    names = lambda effects: dict.fromkeys(p.effect.name for p in effects)  # noqa: E731
+    refit = lambda self, effects, start, **more: fit_of(*names(effects))  # noqa: E731
     monkeypatch.setattr(Search, "fit", refit)
     decision = conclude(Found(pair, attribution), CONFIG["diagnosis"])
     assert [h.names for h in attribution.hypotheses[2:]] == [("slack",)]

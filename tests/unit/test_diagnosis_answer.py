@@ -11,7 +11,7 @@ from real2sim.diagnosis import answer as answers
 from real2sim.diagnosis.decide import Decision
 from real2sim.diagnosis.evidence import BALANCE, CONFIGURED, START_POSE
 from real2sim.diagnosis.machines import Machine
-from real2sim.diagnosis.misfit import Rival
+from real2sim.diagnosis.misfit import CompetingLaw
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.diagnosis.trials import Outcome
@@ -208,6 +208,22 @@ def test_a_cause_under_the_other_initial_state_tells_the_cost_of_the_held_out_tr
     assert {cause.effect: cause.robot_holds for cause in causes} == {"coulomb": None, "tilt": BALANCE}
 
 
+@pytest.mark.parametrize(("share", "checked"), [(0.04, False), (0.06, True)])
+def test_laws_compete_with_what_is_named_under_the_other_initial_state_where_that_matters(
+    stubs, share, checked
+):
+    found = found_of(pair_of("study", *IN_ORDER), plain(9e4, 9e4))
+    other = found_of(pair_of("study", *IN_ORDER), plain(9e4, 9e4), BALANCE)
+    named, none = decision_of("tilt", [1.0], 0, tilt=1.0), decision_of("none", none=1.0)
+    stubs.setattr(answers, "conclude", lambda found, options: named)
+    stubs.setattr(answers, "_checked", lambda found, decision, *rest: (none, None, None))
+    stubs.setattr(answers, "share_of_other", lambda costs, left, c: share)
+    outcome = Outcome(found, none, other, False)
+    decision, told = answers._under_other(outcome, other, CONFIG["diagnosis"], print)
+    assert told == share
+    assert decision.verdict == ("none" if checked else "tilt")
+
+
 def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_sets_do(stubs):
     hypothesis = fit_of(placed("coulomb"))
     found = found_of(pair_of("study", *IN_ORDER), plain(90_000.0, 90_000.0), hypotheses=[hypothesis])
@@ -215,7 +231,7 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
     own = decision_of("coulomb", [0.6], 0, coulomb=0.6, unknown=0.4)
     law = SimpleNamespace(families=[SimpleNamespace(key="spline q_ty")], hypothesis=plain(8000.0, 8000.0))
     misfit = SimpleNamespace(
-        rival=Rival(law, 40.0, 0.3),
+        rival=CompetingLaw(law, 40.0, 0.3),
         measured=SimpleNamespace(laws=[law], library=None),
         to_dict=lambda found: {},
     )

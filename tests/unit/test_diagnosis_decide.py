@@ -105,6 +105,23 @@ def test_a_law_that_loses_by_evidence_makes_no_name_surer(occam):
     assert sum(beside.probabilities.values()) == pytest.approx(1)
 
 
+@pytest.mark.parametrize("occam", [2_000.0, 4_000.0])
+def test_a_law_that_loses_by_evidence_tells_no_names_apart(occam):
+    """Where even the best name leaves much, 150 between two of them mean little, law or no law."""
+    plain, samples = Candidate((), (57_200.0, 57_200.0)), (7_200, 7_200)
+    names = [
+        Candidate(("slack",), (10_640.0, 10_640.0)),
+        Candidate(("coulomb",), (10_715.0, 10_715.0)),
+    ]
+    law = Candidate(("external force",), (7_300.0, 7_300.0), occam + 6_680.0, unlisted=True)
+    alone = decide(plain, names, samples, CALIBRATION).probabilities
+    beside = decide(plain, [*names, law], samples, CALIBRATION).probabilities
+    assert alone["coulomb"] > 0.2
+    for name in ("slack", "coulomb"):
+        assert beside[name] <= alone[name] + 1e-9
+        assert beside[name] == pytest.approx(alone[name], abs=0.05)
+
+
 def test_measured_laws_share_what_is_unknown_by_their_evidence():
     good = Candidate(("memory ty",), (2_800.0, 2_900.0), occam=60.0, unlisted=True)
     alike = Candidate(("elastic ty",), (2_805.0, 2_905.0), occam=60.0, unlisted=True)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from real2sim.diagnosis import misfit as misfit_module
+from real2sim.diagnosis.decide import Candidate, decide
 from real2sim.diagnosis.free_form import Law
 from real2sim.diagnosis.kin import gives_way, is_kin, mended_by
-from real2sim.diagnosis.misfit import _reach
+from real2sim.diagnosis.misfit import Misfit, _reach, told_apart
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -91,6 +95,60 @@ def test_a_law_on_top_mends_a_name_of_its_kind_or_with_any_history(kind, law_axi
 )
 def test_a_free_history_gives_way_to_a_name_of_its_axis_that_gains_as_much(kind, axis, by_name, gives):
     assert gives_way(_law(_family(kind, axis)), _named("coulomb", "ty"), (by_name, 100.0), 0.15) is gives
+
+
+OTHER, FREE, OWN = "another axis", "any history of its axis", "its own kind"
+
+
+@pytest.mark.parametrize(
+    ("left", "competes", "handicap"),
+    [
+        (
+            {OWN: 900.0, OTHER: 1_000.0},
+            OTHER,
+            2_900.0,
+        ),  # the first law is of the name's kind, another one near it
+        ({OTHER: 900.0, OWN: 1_000.0}, OTHER, 2_800.0),
+        ({OTHER: 900.0}, OTHER, 0.0),
+        ({OTHER: 900.0, OWN: 5_000.0}, OTHER, 0.0),  # a law of its kind that is worse than the name
+        ({OWN: 900.0}, None, 0.0),
+        ({FREE: 900.0, OTHER: 1_000.0}, OTHER, 0.0),  # a history that gains hardly more gives way
+        ({}, None, 0.0),
+    ],
+)
+def test_the_best_law_of_another_kind_competes_with_a_name_beyond_its_own_kind(
+    monkeypatch, left, competes, handicap
+):
+    expected, options = 14_400.0, CONFIG["diagnosis"]
+    named = _named("coulomb", "ty")
+    attribution = SimpleNamespace(plain=Hypothesis((), np.zeros(12), (1.0, 1.0)), hypotheses=[named])
+
+    def candidate(names, more, **kind):
+        return Candidate(names, ((expected + more) / 2,) * 2, **kind)
+
+    plain, sets = candidate((), 40_000.0), [candidate(("coulomb",), 3_800.0)]
+    laws = [SimpleNamespace(name=name, hypothesis=name, families=[], is_free=name == FREE) for name in left]
+    found = SimpleNamespace(
+        attribution=attribution,
+        pair=None,
+        samples=(7_200, 7_200),
+        candidate=lambda name, options, law: candidate((name,), left[name], unlisted=True),
+    )
+    monkeypatch.setattr(misfit_module, "candidates_of", lambda found, options: (plain, sets))
+    monkeypatch.setattr(misfit_module, "is_kin_of", lambda law, *rest: law.name == OWN)
+    monkeypatch.setattr(misfit_module, "gives_way", lambda law, *rest: law.name == FREE)
+    before = decide(plain, sets, found.samples, options["calibration"])
+    misfit = Misfit("coulomb ty", (5.0, 5.0), "markers", 0.1, True, SimpleNamespace(laws=laws, library=None))
+    decision, after = told_apart(misfit, found, before, options)
+    assert sum(decision.probabilities.values()) == pytest.approx(1)
+    if competes is None:
+        assert (decision, after) == (before, misfit)
+        return
+    assert (after.rival.law.name, after.rival.handicap) == (competes, pytest.approx(handicap))
+    assert after.rival.probability <= decision.probabilities["unknown"]
+    # the sooner the further its lead over the name's own kind is
+    ahead = left.get(OWN, np.inf) - left[OTHER]
+    assert (decision.probabilities["coulomb"] > 0.5) == (ahead < 0)
 
 
 def test_effects_name_families_that_exist():

@@ -92,7 +92,9 @@ def test_what_an_effect_earns_scatters_as_simulated_noise_does_and_no_less_than_
     loudness, expected
 ):
     trials, rng = object.__new__(_Trials), np.random.default_rng(1)
-    trials._noise = [loudness * rng.standard_normal((4_000, 20)) for _ in range(2)]
-    trials._noise[0][0, 0] = np.nan
+    noise = loudness * rng.standard_normal((4_000, 20))
+    noise[0, 0] = np.nan
+    # the same random numbers in both trials
+    trials._noise = [noise, -noise]
     ways = [np.full(20, 2.0), np.full(20, 1.0)]
     assert trials._scatter(ways) == pytest.approx(2 * expected * np.sqrt(100.0), rel=0.05)

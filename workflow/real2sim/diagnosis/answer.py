@@ -23,10 +23,11 @@ from real2sim.diagnosis.decide import (
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.free_form import Law, Measured, measure
 from real2sim.diagnosis.intervals import Precision, effect_intervals, parameter_verdicts, precision_by_fit
+from real2sim.diagnosis.kin import is_kin_of
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.layers import layered
 from real2sim.diagnosis.machines import Machine, configured, describe_machines, with_others
-from real2sim.diagnosis.misfit import Misfit, Rival, chosen, misfit_of, told_apart, with_law
+from real2sim.diagnosis.misfit import CompetingLaw, Misfit, chosen, misfit_of, told_apart, with_law
 from real2sim.diagnosis.next_trial import Imagine, axes_of, propose, rivals_of, told
 from real2sim.diagnosis.refit import Hypothesis, run_freely
 from real2sim.diagnosis.search import Pair, Search
@@ -288,7 +289,12 @@ def _checked(
         return decision, None, None
     if measured is None:
         return decision, misfit, None
+    unknown = decision.probabilities[UNKNOWN]
     decision, layers = layered(found, decision, measured, options, progress)
+    if misfit is not None and misfit.rival is not None and unknown > 0:
+        # what sets win back with a law on top they win from every law that competes without one
+        kept = decision.probabilities[UNKNOWN] / unknown
+        misfit = replace(misfit, rival=replace(misfit.rival, probability=kept * misfit.rival.probability))
     if decision.chosen is not None:
         misfit = with_law(misfit, layers, found, decision, options)
     return decision, misfit, measured
@@ -499,6 +505,14 @@ class _Account:
             out[law.families[0].stage] += self._decision.probabilities[UNKNOWN] * share
         return out
 
+    def _against_the_name(self, measured: Measured) -> list[Law]:
+        """Return the measured laws that are not what is named with another equation."""
+        share = self._settings["diagnosis"]["free_form"]["main_share"]
+        if self._decision.chosen is None:
+            return list(measured.laws)
+        library, pair = measured.library, self._pair
+        return [law for law in measured.laws if not is_kin_of(law, self._named, library, pair, share)]
+
     def _shares_of(self, laws: Sequence[Law]) -> list[float]:
         """Return the share of each measured law in the probability of `unknown`, by evidence."""
         if not laws:
@@ -624,7 +638,7 @@ class _Account:
         if result.next_trial is None or imagine is None:
             return replace(result, beyond=beyond)
         progress("the next trial: what would part the leading hypotheses?")
-        laws = measured.laws if measured is not None else []
+        laws = [] if measured is None else self._against_the_name(measured)
         rivals = rivals_of(self._attribution, decision, laws, self._shares_of(laws))
         shares = self._pair.shown.axis_shares(self._plain_path)
         axes = axes_of(rivals, self._pair, shares, self._report["next_trial_axes"])
@@ -737,7 +751,7 @@ def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[s
     }
 
 
-def _rival(attribution: Attribution, rival: Rival, exchanged: bool, kept: float) -> dict[str, Any]:
+def _rival(attribution: Attribution, rival: CompetingLaw, exchanged: bool, kept: float) -> dict[str, Any]:
     """Return the measured law that competed with the names, as an entry of ``considered`` without effects.
 
     ``kept`` is the factor by which averaging over initial states and machines scales the probability of every set.

@@ -676,7 +676,11 @@ def _alike(one: Placed, other: Placed) -> bool:
 
 def _without_member(hypothesis: Hypothesis, member: int) -> tuple[tuple[Placed, ...], np.ndarray]:
     """Effects of a set but for one of them, and the searched numbers (n + p,) that these have in the set."""
-    keep = [i for i in range(len(hypothesis.effects)) if i != member]
+    return _with_members(hypothesis, [i for i in range(len(hypothesis.effects)) if i != member])
+
+
+def _with_members(hypothesis: Hypothesis, keep: Sequence[int]) -> tuple[tuple[Placed, ...], np.ndarray]:
+    """Effects of a set by their indices, and the searched numbers (n + p,) that these have in the set."""
     parts = hypothesis.split()
     z = np.concatenate([hypothesis.base, *(parts[i] for i in keep)])
     return tuple(hypothesis.effects[i] for i in keep), z
@@ -724,12 +728,20 @@ def _plainer(
 def missing_parts(
     pair: Pair, hypothesis: Hypothesis, known: Sequence[Hypothesis], settings: DiagnosisSearchSettings
 ) -> list[Hypothesis]:
-    """Refits of a set without each of its effects, of those that are not ``known``: what an effect earns they tell."""
-    if len(hypothesis.effects) < 2:
+    """Refits of a set without each of its names, of those that are not ``known``: they tell what an effect earns.
+
+    An effect on two axes is left out on both.
+    """
+    if len(hypothesis.names) < 2:
         return []
     search, fitted = Search(pair, settings), {_keys(h.effects) for h in known}
-    parts = [_without_member(hypothesis, member) for member in range(len(hypothesis.effects))]
-    return [search.fit(effects, z) for effects, z in parts if _keys(effects) not in fitted]
+    out = []
+    for name in hypothesis.names:
+        kept = [i for i, placed in enumerate(hypothesis.effects) if placed.effect.name != name]
+        effects, z = _with_members(hypothesis, kept)
+        if _keys(effects) not in fitted:
+            out.append(search.fit(effects, z))
+    return out
 
 
 def finished(pair: Pair, hypothesis: Hypothesis, settings: DiagnosisSearchSettings) -> Hypothesis:

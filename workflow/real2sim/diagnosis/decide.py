@@ -80,7 +80,7 @@ class Candidate:
 class Decision:
     """Probabilities by effect name, `none` and `unknown` (they add up to 1), and by candidate (same order).
 
-    ``doubt`` is the part of `unknown` that ambiguous sets would have, were they not ambiguous.
+    ``doubt`` is the probability that was taken from ambiguous sets and counts for `unknown`.
     """
 
     probabilities: dict[str, float]
@@ -172,8 +172,8 @@ def logits(
 
     First a cause competes with none, by what the best set gains, or what one that is not listed would if it left only
     noise. What a cause has is shared out between the listed sets, by their evidence, and `unknown`, by what they leave.
-    A candidate that is not listed competes by evidence with the sets: that it is known explains nothing of the gap by
-    listed effects, so that it never makes `unknown`, which it counts for, less likely.
+    A candidate that is not listed competes with the sets by evidence. What it explains is not explained by listed
+    effects, so that it neither makes `unknown`, which it counts for, less likely, nor one set surer against another.
     """
     listed = [x for x in candidates if not x.unlisted]
     share = unexplained(plain, listed, samples, c)
@@ -193,13 +193,20 @@ def logits(
     if laws.any():
         # that many laws compete is no reason to believe in one of them
         together = rows[named].max() - c["cause_log_odds"] - np.log1p(odds)
+        # how inexact sets are is asked of sets alone, and of a law beside them of all
         left = unexplained(plain, candidates, samples, c) * _gap(plain, samples)
-        rows[laws] = _among([x for x, law in zip(candidates, laws, strict=True) if law], left, c)
+        rows[laws] = _among(_of(candidates, laws), left, c)
         rows[laws] += together - np.logaddexp.reduce(rows[named])
+        rows[named] = _among(_of(candidates, named), share * _gap(plain, samples), c) + together
     # something that is not listed explains all but noise, or looks the same as what is listed
     unknown = gained(min(noise, plain.deviance)) - c["cause_log_odds"] - np.log1p(1 / max(odds, 1e-300))
     alike = np.log(c["unlisted_odds"]) + float(np.logaddexp.reduce(rows[named], initial=-np.inf))
     return np.array([*rows, 0.0, np.logaddexp(unknown, alike)])
+
+
+def _of(candidates: Sequence[Candidate], which: np.ndarray) -> list[Candidate]:
+    """Return the candidates that a mask (k,) holds."""
+    return [candidate for candidate, taken in zip(candidates, which, strict=True) if taken]
 
 
 def shares_of(

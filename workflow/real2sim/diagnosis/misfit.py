@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Rival:
+class CompetingLaw:
     """A measured law that competes with the names: its deviance is counted higher by the ``handicap``."""
 
     law: Law
@@ -56,7 +56,7 @@ class Misfit:
     marked: bool
     measured: Measured | None = None
     law: Law | None = None
-    rival: Rival | None = None
+    rival: CompetingLaw | None = None
 
     def to_dict(self, found: Found) -> dict[str, Any]:
         """Return the entry ``misfit`` of diagnosis.json."""
@@ -114,7 +114,7 @@ def told_apart(
 
     A law of the kind and place of a named effect does not compete: it is that effect with another equation. Nor does a
     free history on the effect's axis that gains hardly more. The best of the others does, and what a law of the name's
-    kind leaves too says nothing against the name.
+    kind explains too says nothing against the name.
     """
     if decision.chosen is None or misfit.measured is None:
         return decision, misfit
@@ -127,7 +127,7 @@ def told_apart(
     handicap = named.deviance - min(own_kind, named.deviance)
     handicapped = replace(told, occam=told.occam + handicap)
     with_rival = decide(plain, [*sets, handicapped], found.samples, options["calibration"])
-    misfit = replace(misfit, rival=Rival(law, handicap, float(with_rival.sets[-1])))
+    misfit = replace(misfit, rival=CompetingLaw(law, handicap, float(with_rival.sets[-1])))
     return replace(with_rival, sets=with_rival.sets[:-1]), misfit
 
 
@@ -146,10 +146,10 @@ def _best_rival(
     rivals, own_kind = [], float("inf")
     for law in measured.laws:
         told = found.candidate(law.hypothesis, options, [f.key for f in law.families])
-        by_name, by_law = (compared[0].deviance - x.deviance for x in (compared[1], told))
+        gains = compared[0].deviance - compared[1].deviance, compared[0].deviance - told.deviance
         if is_kin_of(law, named, measured.library, found.pair, main_share):
             own_kind = min(own_kind, told.deviance)
-        elif not gives_way(law, named, (by_name, by_law), options["search"]["grow_share"]):
+        elif not gives_way(law, named, gains, options["search"]["grow_share"]):
             rivals.append((law, told))
     return min(rivals, key=lambda pair: pair[1].deviance, default=None), own_kind
 

@@ -133,10 +133,13 @@ class _Trials:
         Chi-squared with non-centrality L scatters by 2 sqrt(L) about what it has more, where noise is white: the least
         that is taken.
         """
-        along = np.sum([noise @ way for noise, way in zip(self._noise, ways, strict=True)], axis=0)
-        # a draw that MuJoCo gives up on says nothing
-        along = along[np.isfinite(along)]
-        by_draws = float(np.mean(along**2)) if len(along) else 0.0
+        by_draws = 0.0
+        # the trials are independent, though draws of the same number begin with the same random numbers
+        for noise, way in zip(self._noise, ways, strict=True):
+            along = noise @ way
+            # a draw that MuJoCo gives up on says nothing
+            along = along[np.isfinite(along)]
+            by_draws += float(np.mean(along**2)) if len(along) else 0.0
         return 2 * float(np.sqrt(max(by_draws, sum(way @ way for way in ways))))
 
 

@@ -184,6 +184,31 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     assert search.excess(calm) == pytest.approx(40 / np.sqrt(2 * 5760))
 
 
+def test_noise_that_one_trial_passes_on_hides_nothing_of_the_other(monkeypatch):
+    friction = placed_whole("coulomb")
+
+    def trial(mean, sd):
+        draws = np.random.default_rng(3).normal(mean, sd, 31)
+        return SimpleNamespace(
+            samples=2880,
+            samples_by_sensor=(2880,),
+            noise_by_sensor=(2880.0,),
+            threads=1,
+            sensors={"markers": 1},
+            noise_of=lambda *given: np.sqrt(draws)[:, None],
+        )
+
+    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: None)
+    search = Search(
+        Pair(trial(4500.0, 900.0), trial(2880.0, 76.0), about(PRIOR)), CONFIG["diagnosis"]["search"]
+    )
+    found = Hypothesis((friction,), np.zeros(13), (5000.0, 5000.0))
+    fitted, held_out = search.excess_of_trials(found)
+    assert fitted < 1
+    assert held_out > 20
+    assert not search.is_noise(found)
+
+
 def test_constants_of_one_name_start_where_another_law_found_them():
     """Dry friction of the EMPS starts from the force of the smooth law; what that does not have, from its own start."""
     law = next(e for e in EFFECTS if e.name == "lugre")

@@ -233,14 +233,14 @@ class Search:
         """Return what a hypothesis leaves beyond noise, in SD of what noise leaves.
 
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it, and
-        of the held-out trial counts what numbers leave that may move as far as the fitted one lets them.
+        of the held-out trial counts what numbers leave that may move as far as the fitted one lets them. Each trial
+        counts in units of its own scatter (Stouffer's sum): one that passes on much noise hides nothing of the other.
         """
         expected = pooled(self.samples_by_sensor)
         out = _excess(pooled(hypothesis.by_sensor), expected, self.on_floor, None)
         if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
             return out
-        train, held_out = self._noise_of(hypothesis)
-        return _excess(pooled(self._left_by(hypothesis)), expected, self.on_floor, train + held_out)
+        return sum(self.excess_of_trials(hypothesis)) / float(np.sqrt(2))
 
     def _left_by(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
         """Chi-squared by sensor, trial by trial, the held-out one predicted with what the fitted one leaves open."""

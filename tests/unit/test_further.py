@@ -31,7 +31,11 @@ def pair(monkeypatch):
 
         def with_jacobian(self, z, free):
             e = self._evidence
-            return e.matrix @ z - e.measured, e.matrix[:, free]
+            return self.many(z[None])[0], e.matrix[:, free]
+
+        def many(self, z):
+            e = self._evidence
+            return z @ e.matrix.T - e.measured
 
     def trial(rows: int, scale: float = 1.0):
         matrix = scale * rng.standard_normal((rows, 3))

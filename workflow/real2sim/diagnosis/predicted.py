@@ -7,7 +7,7 @@ of another trial that tells those better: what it leaves is the error of the fit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,11 +106,17 @@ def predict_held_out(
 ) -> Predicted | None:
     """Return what a hypothesis that was fitted to one trial leaves of the held-out one; None where it fails.
 
-    ``longest`` is the longest step of a searched number that a tangent is believed for.
+    ``longest`` is the longest step of a searched number that a tangent is believed for. What is left is simulated with
+    the numbers that have moved: of friction, say, the tangent promises more than a move brings.
     """
     z = hypothesis.z
     problem = following(held_out, hypothesis, system, coarse=True)
     r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
     bounds = np.maximum(problem.lower - z, -longest), np.minimum(problem.upper - z, longest)
     known = information((train,), hypothesis, system)
-    return predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)[0]
+    told, step, _ = predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)
+    there = problem.many((z + step)[None])[0]
+    if told is None or not np.isfinite(there).all():
+        return None
+    before, left = by_sensor(np.stack([r, there])[:, : held_out.rows], held_out.sensors.values())
+    return replace(told, by_sensor=tuple(left.tolist()), gained=tuple((before - left).tolist()))

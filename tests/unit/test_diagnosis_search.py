@@ -448,6 +448,35 @@ def test_laws_that_the_tangent_promises_nothing_of_are_tried_on_the_axis_of_the_
     assert _other_laws(Costs(), of_all, everything, settings) == of_all
 
 
+@pytest.mark.parametrize(
+    ("best", "rival"), [("asymmetric_stiffness", "one_sided"), ("one_sided", "asymmetric_stiffness")]
+)
+def test_a_law_of_one_side_is_a_rival_of_a_law_without_sides(best, rival):
+    """A strap that is loose on one side from the middle on is one that is softer there."""
+    everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]
+    tried = set()
+
+    class Costs(_Stuck):
+        def fresh(self, effects, base, near=None):
+            tried.add((effects[0].effect.name, effects[0].where.side))
+            return np.append(base, effects[0].starts()[0]), 100.0
+
+        def fit(self, effects, start, final=False, tangent=None):
+            return Hypothesis(tuple(effects), start, (2880.0, 2880.0))
+
+    named = next(p for p in everything if p.effect.name == best and p.axes == ["ty"])
+    _other_laws(
+        Costs(),
+        [Hypothesis((named,), np.zeros(14), (3500.0, 3500.0))],
+        everything,
+        CONFIG["diagnosis"]["search"],
+    )
+    sides = {side for name, side in tried if name == rival}
+    assert sides == ({-1, 1} if rival == "one_sided" else {0})
+    # of laws that have sides, the same side only
+    assert {side for _, side in tried} <= {0, named.where.side} or named.where.side == 0
+
+
 def test_laws_of_many_constants_are_tried_from_drawn_starts_on_the_axis_of_the_best():
     """LuGre friction of one person was `hysteresis`: its own valley was 1 500 lower than where its one start led."""
     everything = [Placed(e, where, SCALES) for e in EFFECTS for where in e.places(STRAP)]

@@ -290,9 +290,7 @@ def _with_best_converged(
     first, out = best.effects[0], [best]
     known = set(best.names)
     for h in found[1:]:
-        rival = (
-            not search.is_noise(best) and _rivals(first, h.effects[0]) and _same_place(first, h.effects[0])
-        )
+        rival = not search.is_noise(best) and _rivals(first, h.effects[0]) and _in_place(first, h.effects[0])
         if rival and not known & set(h.names):
             known |= set(h.names)
             out.append(_converged(search, plain, h, settings))
@@ -432,7 +430,7 @@ def _other_laws(
     if len(best.effects[0].where.axes) != 1:
         return found
     known = {_keys(h.effects) for h in found}
-    rivals = [p for p in places if _rivals(best.effects[0], p) and _same_place(best.effects[0], p)]
+    rivals = [p for p in places if _rivals(best.effects[0], p) and _in_place(best.effects[0], p)]
     near = None if search.is_noise(best) else _named(best, 0)
     starts = [((p,), *search.fresh((p,), best.base, near)) for p in rivals if _keys((p,)) not in known]
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
@@ -455,7 +453,7 @@ def _redrawn(
         for p in places
         if _has_many_constants(p, settings["many_constants"])
         and _rivals(best.effects[0], p)
-        and _same_place(best.effects[0], p)
+        and _in_place(best.effects[0], p)
     ]
     out = list(found)
     for law in laws:
@@ -662,6 +660,12 @@ def _one_by_one(
 def _same_place(one: Placed, other: Placed) -> bool:
     """Return whether two places are the same axes and side."""
     return (one.where.axes, one.where.side) == (other.where.axes, other.where.side)
+
+
+def _in_place(one: Placed, other: Placed) -> bool:
+    """Return whether an effect acts where another does: on the same axes and side, or one of both on either side."""
+    sides = {one.where.side, other.where.side}
+    return one.where.axes == other.where.axes and (len(sides) == 1 or 0 in sides)
 
 
 def _rivals(one: Placed, other: Placed) -> bool:

@@ -31,7 +31,6 @@ from real2sim.diagnosis.attribute import (
     check_simulated,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
-from real2sim.diagnosis.predicted import Predicted
 from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
 from real2sim.diagnosis.search import (
     FAILED,
@@ -165,16 +164,14 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
-    told = Predicted((5600.0,), 400.0, 3.0, (400.0,))
-    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: told)
+    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
     assert abs(search.excess(found)) < 0.1
     assert search.is_noise(found)
     # what numbers leave that may move by as much as the fitted trial lets them is no misfit
     further = replace(found, chi2=(6000.0, 8000.0), z=np.full(13, 0.5))
-    told = Predicted((5600.0,), 400.0, 3.0, (2400.0,))
-    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: told)
+    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.full(1, 2000.0))
     assert abs(search.excess(further)) < 0.1
-    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: None)
+    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
     assert search.excess(replace(further, z=np.full(13, 0.6))) > 1
     # the plain plant is measured by the noise that whitens, and so is what leaves no more than that
     plain = Hypothesis((), np.zeros(12), (6000.0, 6000.0))
@@ -198,7 +195,7 @@ def test_noise_that_one_trial_passes_on_hides_nothing_of_the_other(monkeypatch):
             noise_of=lambda *given: np.sqrt(draws)[:, None],
         )
 
-    monkeypatch.setattr("real2sim.diagnosis.search.predict_held_out", lambda *given: None)
+    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
     search = Search(
         Pair(trial(4500.0, 900.0), trial(2880.0, 76.0), about(PRIOR)), CONFIG["diagnosis"]["search"]
     )

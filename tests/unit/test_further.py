@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from real2sim.diagnosis import further, refit
 from real2sim.diagnosis.further import predict_further
-from real2sim.diagnosis.predicted import Predicted, information, predict_held_out
+from real2sim.diagnosis.predicted import error_of_fit, information
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import FAILED
 
@@ -73,17 +73,20 @@ def test_the_error_of_a_fit_is_no_misfit_of_the_held_out_trial(pair):
     two, trial = pair
     two.held_out = trial(6, 5.0)
     fit = _at_optimum(two)
-    told = predict_held_out(two.train, two.held_out, fit, None, np.inf)
+    told = error_of_fit(two.train, two.held_out, fit, None, np.inf)
     matrix, known = two.held_out.matrix, information((two.train,), fit, None)
     error = matrix @ fit.z - two.held_out.measured
     exact = error @ np.linalg.solve(np.eye(6) + matrix @ np.linalg.inv(known) @ matrix.T, error)
     fixed = float(error @ error)
-    assert told.chi2 + told.distance == pytest.approx(exact)
     assert exact < fixed
-    assert told.of_fixed((fixed,)) == pytest.approx((exact,))
-    # what is less is taken from the sensor that gains, and none gets more
-    markers, log = Predicted((60.0, 50.0), 15.0, 0.0, (40.0, -10.0)).of_fixed((100.0, 40.0))
-    assert (markers, log) == (pytest.approx(85.0), 40.0)
+    assert told == pytest.approx([fixed - exact])
+    # by sensor: none that loses by the move gets more
+    two.held_out.sensors = {"markers": 1, "robot log": 1}
+    parts = error_of_fit(two.train, two.held_out, fit, None, np.inf)
+    assert parts.sum() == pytest.approx(fixed - exact)
+    assert (parts >= 0).all()
+    two.held_out.measured[0] = np.nan
+    assert error_of_fit(two.train, two.held_out, fit, None, np.inf).tolist() == [0.0, 0.0]
 
 
 def test_what_only_a_third_trial_tells_pays_for_its_own_prior(pair):

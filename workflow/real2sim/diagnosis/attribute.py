@@ -663,7 +663,7 @@ def _same_place(one: Placed, other: Placed) -> bool:
 
 
 def _in_place(one: Placed, other: Placed) -> bool:
-    """Return whether an effect acts where another does: on the same axes and side, or one of both on either side."""
+    """Return whether two places are the same axes, and the same side where both effects have one."""
     sides = {one.where.side, other.where.side}
     return one.where.axes == other.where.axes and (len(sides) == 1 or 0 in sides)
 

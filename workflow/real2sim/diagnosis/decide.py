@@ -193,18 +193,19 @@ def logits(
     if laws.any():
         # that many laws compete is no reason to believe in one of them
         together = rows[named].max() - c["cause_log_odds"] - np.log1p(odds)
-        # how inexact sets are is asked of sets alone, and of a law beside them of all
+        # a law competes with all sets together, by what the best of all leaves
         left = unexplained(plain, candidates, samples, c) * _gap(plain, samples)
-        rows[laws] = _among(_of(candidates, laws), left, c)
+        rows[laws] = _among(_masked(candidates, laws), left, c)
         rows[laws] += together - np.logaddexp.reduce(rows[named])
-        rows[named] = _among(_of(candidates, named), share * _gap(plain, samples), c) + together
+        # and sets with each other as if there were no law
+        rows[named] = _among(_masked(candidates, named), share * _gap(plain, samples), c) + together
     # something that is not listed explains all but noise, or looks the same as what is listed
     unknown = gained(min(noise, plain.deviance)) - c["cause_log_odds"] - np.log1p(1 / max(odds, 1e-300))
     alike = np.log(c["unlisted_odds"]) + float(np.logaddexp.reduce(rows[named], initial=-np.inf))
     return np.array([*rows, 0.0, np.logaddexp(unknown, alike)])
 
 
-def _of(candidates: Sequence[Candidate], which: np.ndarray) -> list[Candidate]:
+def _masked(candidates: Sequence[Candidate], which: np.ndarray) -> list[Candidate]:
     """Return the candidates that a mask (k,) holds."""
     return [candidate for candidate, taken in zip(candidates, which, strict=True) if taken]
 

@@ -44,7 +44,7 @@ def predict_further(
         lower = np.maximum(problem.lower - z, -furthest) - moved
         upper = np.minimum(problem.upper - z, furthest) - moved
         told, step, known = predict(evidence, r + jacobian @ moved, jacobian, known, (lower, upper))
-        out.append(told or Predicted(failed(len(evidence.sensors)), 0.0, 0.0))
+        out.append(told or Predicted(failed(len(evidence.sensors)), 0.0))
         moved = moved + step
     return out
 

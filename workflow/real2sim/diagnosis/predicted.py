@@ -7,7 +7,7 @@ of another trial that tells those better: what it leaves is the error of the fit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,39 +20,15 @@ from real2sim.system.description import System
 
 @dataclass(frozen=True)
 class Predicted:
-    """Chi-squared that a set leaves of another trial by sensor, and what the predictive likelihood adds to it.
-
-    ``distance``: how far its numbers moved, in units of what was known of them; ``narrowed``: by how much the trial
-    tells them better (difference of the log-determinants of their information). ``gained``: how much less it leaves, by
-    sensor, than without a move.
-    """
+    """Chi-squared that a set leaves of a further trial by sensor, and what the predictive likelihood adds to it."""
 
     by_sensor: tuple[float, ...]
-    distance: float
-    narrowed: float
-    gained: tuple[float, ...] = ()
+    occam: float
 
     @property
     def chi2(self) -> float:
         """Chi-squared of all sensors."""
         return sum(self.by_sensor)
-
-    @property
-    def occam(self) -> float:
-        """Term that the predictive likelihood adds to chi-squared."""
-        return self.distance + self.narrowed
-
-    def of_fixed(self, fixed: Sequence[float]) -> tuple[float, ...]:
-        """Return chi-squared with the distance in it by sensor (s,), of what ``fixed`` numbers (s,) leave.
-
-        With the covariance of noise and of what is not known of the numbers it is a quadratic form of the residuals
-        that fixed numbers leave, which is expected to be their number. What it is less than theirs is taken from the
-        sensors that gain by the move. (``fixed`` may be of a finer time step than the move.)
-        """
-        gained = np.maximum(self.gained, 0.0)
-        less = max(sum(self.gained) - self.distance, 0.0)
-        shares = gained / gained.sum() if less > 0 else np.zeros(len(gained))
-        return tuple(np.maximum(np.asarray(fixed) - less * shares, 0.0).tolist())
 
 
 def information(trials: Sequence[Evidence], hypothesis: Hypothesis, system: System) -> np.ndarray:
@@ -92,31 +68,35 @@ def predict(
     more = known + slopes.T @ slopes
     step = bounded_step(more, slopes.T @ residuals, *bounds)
     narrowed = np.linalg.slogdet(more)[1] - np.linalg.slogdet(known)[1]
-    before, left = by_sensor(np.stack([residuals, residuals + slopes @ step]), evidence.sensors.values())
-    out = Predicted(
-        tuple(left.tolist()), float(step @ known @ step), float(narrowed), tuple((before - left).tolist())
-    )
+    left = by_sensor((residuals + slopes @ step)[None], evidence.sensors.values())[0].tolist()
+    out = Predicted(tuple(left), float(step @ known @ step + narrowed))
     if not np.isfinite([*left, out.occam]).all():
         return None, np.zeros(len(known)), known
     return out, step, more
 
 
-def predict_held_out(
+def error_of_fit(
     train: Evidence, held_out: Evidence, hypothesis: Hypothesis, system: System, longest: float
-) -> Predicted | None:
-    """Return what a hypothesis that was fitted to one trial leaves of the held-out one; None where it fails.
+) -> np.ndarray:
+    """Return the chi-squared (s,) by sensor of the held-out trial that is the error of the fit to the other one.
 
-    ``longest`` is the longest step of a searched number that a tangent is believed for. What is left is simulated with
-    the numbers that have moved: of friction, say, the tangent promises more than a move brings.
+    So much less is left, the cost of the move counted, with numbers that have moved as far as the fitted trial lets
+    them. With the covariance of noise and of what is not known of the numbers, the rest is a quadratic form of the
+    residuals that fixed numbers leave, whose expectation is their number. It is simulated with the numbers that have
+    moved: of friction, say, the tangent promises more than a move brings. ``longest`` is the longest step of a searched
+    number that a tangent is believed for. Nothing where the simulation does not bear the move.
     """
     z = hypothesis.z
     problem = following(held_out, hypothesis, system, coarse=True)
     r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
     bounds = np.maximum(problem.lower - z, -longest), np.minimum(problem.upper - z, longest)
     known = information((train,), hypothesis, system)
-    told, step, _ = predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)
-    there = problem.many((z + step)[None])[0]
-    if told is None or not np.isfinite(there).all():
-        return None
-    before, left = by_sensor(np.stack([r, there])[:, : held_out.rows], held_out.sensors.values())
-    return replace(told, by_sensor=tuple(left.tolist()), gained=tuple((before - left).tolist()))
+    _, step, _ = predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)
+    both = np.stack([r, problem.many((z + step)[None])[0]])[:, : held_out.rows]
+    if not np.isfinite(both).all():
+        return np.zeros(len(held_out.sensors))
+    before, left = by_sensor(both, held_out.sensors.values())
+    less = max(float((before - left).sum() - step @ known @ step), 0.0)
+    # taken from the sensors that gain by the move
+    gained = np.maximum(before - left, 0.0)
+    return np.asarray(less * gained / max(gained.sum(), 1e-300))

@@ -17,7 +17,7 @@ import scipy
 from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.predicted import predict_held_out
+from real2sim.diagnosis.predicted import error_of_fit
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit, refit_freely
 from real2sim.diagnosis.sensors import above, are_on_floor, by_sensor, pooled
 from real2sim.effects.catalogue import Placed
@@ -243,13 +243,14 @@ class Search:
         return sum(self.excess_of_trials(hypothesis)) / float(np.sqrt(2))
 
     def _left_by(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
-        """Chi-squared by sensor, trial by trial, the held-out one predicted with what the fitted one leaves open."""
+        """Chi-squared by sensor, trial by trial, of the held-out one without the error of the fit."""
         fitted, held_out = hypothesis.by_sensor
         key = hypothesis.key, hypothesis.z.tobytes()
         if key not in self._predicted:
             pair, longest = self.pair, self._settings["longest_step"]
-            told = predict_held_out(pair.train, pair.held_out, hypothesis, pair.system, longest)
-            self._predicted[key] = held_out if told is None else told.of_fixed(held_out)
+            error = error_of_fit(pair.train, pair.held_out, hypothesis, pair.system, longest)
+            # what was judged may be of a finer time step than the error
+            self._predicted[key] = tuple(np.maximum(np.asarray(held_out) - error, 0.0).tolist())
         return fitted, self._predicted[key]
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:

@@ -495,8 +495,9 @@ def _potential(
             }
             row.append(times(joint, slope, (), 1 / (sum(powers) - 1), powers[i] * factor[i]))
         terms.append(tuple(row))
-    for name, joint in zip(names, joints, strict=True) if len(axes) == 2 else ():
-        terms += [(_legendre(name, joint, k),) for k in ALONE]
+    if len(axes) == 2:
+        for name, joint in zip(names, joints, strict=True):
+            terms += [(_legendre(name, joint, k),) for k in ALONE]
     return Family("elastic coupling", "interface", "elastic coupling", axes, names, tuple(terms))
 
 

@@ -105,3 +105,16 @@ def test_prose_is_wrapped():
             if not free and len(line) > 120:
                 long.append(f"{page}:{number}")
     assert long == []
+
+
+def test_the_worked_example_takes_an_answers_numbers_and_no_other_words():
+    sys.path.insert(0, str(ROOT / "docs"))
+    from make_example import updated
+
+    block = '{"a 1": [1.5, "... 2 more"], "verdict": "slack", "equation": "F = k ...", "n": {"x": 2, "...": "3 more"}}'
+    told = {"a 1": [0.123456, 7, 8], "verdict": "slack", "equation": "F = k q + c", "n": {"x": 30, "y": 4}}
+    assert updated(block, told) == block.replace("1.5", "0.12346").replace('"x": 2', '"x": 30')
+    with pytest.raises(ValueError, match="verdict: 'coulomb'"):
+        updated(block, told | {"verdict": "coulomb"})
+    with pytest.raises(KeyError):
+        updated(block, {key: value for key, value in told.items() if key != "n"})

@@ -86,6 +86,13 @@ def test_bootstrap_equals_a_plain_loop_over_resampled_tables():
     assert found.one_subject == int((draws == 4).any(axis=1).sum()) > 0
 
 
+def test_two_people_have_no_bootstrap_interval():
+    values = np.random.default_rng(1).normal(size=(10, 1))
+    found = icc.cluster_bootstrap(values, np.repeat(["S01", "S02"], 5), resamples=200, seed=0)
+    assert np.isnan([found.low[0], found.high[0]]).all()
+    assert classify(found.low[0], found.high[0], common_below=0.5, distinct_from=0.75) == "uncertain"
+
+
 def test_parameter_without_variance_has_no_icc_and_distinct_people_have_one():
     subjects = np.repeat(np.arange(3), 4)
     values = np.column_stack([np.full(12, np.log(15.0)), subjects.astype(float)])

@@ -132,7 +132,8 @@ def cluster_bootstrap(
 ) -> BootstrapInterval:
     """Percentile interval of the truncated ICC when whole subjects are resampled with all their fits.
 
-    One resample is the same draw of subjects for every parameter. ``values`` (n, p), ``subjects`` (n,).
+    One resample is the same draw of subjects for every parameter. ``values`` (n, p), ``subjects`` (n,). NaN with two
+    subjects: every resample that has both is the cohort itself, and an interval without width would look certain.
     """
     c = _clusters(values, subjects)
     k = len(c.size)
@@ -142,7 +143,7 @@ def cluster_bootstrap(
     undefined = np.isnan(estimates).sum(axis=0)
     tails = [(1 - confidence) / 2, (1 + confidence) / 2]
     low, high = np.full(estimates.shape[1], np.nan), np.full(estimates.shape[1], np.nan)
-    for j in np.flatnonzero(undefined < len(estimates)):
+    for j in np.flatnonzero(undefined < len(estimates)) if k > 2 else ():
         column = estimates[:, j]
         low[j], high[j] = np.quantile(column[np.isfinite(column)], tails)
     return BootstrapInterval(low, high, resamples, int(single.sum()), undefined)

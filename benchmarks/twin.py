@@ -188,6 +188,10 @@ def figures_of(part: Recording, condition: Condition, alone: dict, settle_s: flo
     }
 
 
+def _shown(slip: float | None) -> str:
+    return "-" if slip is None else f"{slip:.3f}"
+
+
 def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, object, bool]]:
     """Print every condition; returns the bars: survival, sign at the hip, order of the clouds."""
     for r in rows:
@@ -202,7 +206,7 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
         if g := r["gait"]:
             gait = (
                 f"{g['speed_m_per_s']:.3f} m/s, stride {g['stride_m']:.3f} m, {g['cadence_per_min']:.0f}/min, "
-                f"slip {g['stance_slip_m_per_s']:.3f} m/s"
+                f"slip {_shown(g['stance_slip_m_per_s'])} m/s"
             )
         print(
             f"    {r['robot']:9s} {'aware' if r['aware'] else 'fixed'} {r['name']:6s} cap {r['cap']:.2f} {factor:16s}"
@@ -221,7 +225,7 @@ def show_coupled(rows: list[dict], main_cap: float) -> list[tuple[str, object, o
         bars.append((f"survived {where}", r["survived"], SURVIVAL, r["survived"] >= SURVIVAL))
         if g := r["gait"]:
             slip, off = g["stance_slip_m_per_s"], g["stride_speed_m_per_s"] / g["speed_m_per_s"] - 1
-            bars.append((f"stance slip [m/s] {where}", slip, SLIP, slip <= SLIP))
+            bars.append((f"stance slip [m/s] {where}", slip, SLIP, slip is not None and slip <= SLIP))
             bars.append((f"stride x cadence against speed {where}", off, STRIDE_OFF, abs(off) <= STRIDE_OFF))
         if r["name"] == "prior" and r["cap"] <= 0.95:
             hip = r["change"]["hip_flexion"]

@@ -202,6 +202,7 @@ def _steady(sigma: np.ndarray) -> Recording:
         {s: x - along for s, x in heel.items()},
         heel,
         {s: 0 * x for s, x in heel.items()},
+        {s: 0 * x for s, x in heel.items()},
         along,
         0.05 * np.sin(2 * np.pi * np.tile(phase, (n, 1))),
         q,
@@ -238,9 +239,29 @@ def test_gait_figures_of_a_known_walk():
     assert gait["cadence_per_min"] == pytest.approx(120 / r.stride_s, rel=5e-3)
     assert gait["stride_speed_m_per_s"] == pytest.approx(gait["speed_m_per_s"], rel=5e-3)
     assert gait["pelvis_rotation_deg"] == pytest.approx(np.degrees(0.1), rel=0.02)
-    # these heels swing while the body goes on: nothing stands
+    # these heels swing along the floor while the body goes on
     assert gait["stance_slip_m_per_s"] > 0.1
+    assert gait["heel_stands_share"] == 1.0
     assert adaptation.gait_of(recording.of(np.array([], int)), 2.0) == {}
+
+
+def test_a_heel_in_the_air_does_not_slip():
+    recording = _steady(np.array([0.003, 0.009, 0.002]))
+    phase = np.mod(recording.time_s / reference().stride_s, 1)
+    for side, shift in (("r", 0.0), ("l", 0.5)):
+        # a foot that lands late, amid what is foot flat of this walk
+        above = np.where(np.mod(phase - shift, 1) < 0.38, 0.01, 0.0)
+        recording.heel_above[side] = np.tile(above, (3, 1))
+    standing = adaptation.gait_of(_steady(np.array([0.003, 0.009, 0.002])), 2.0)
+    late = adaptation.gait_of(recording, 2.0)
+    assert late["heel_stands_share"] == pytest.approx(0.4, abs=0.1)
+    # what is in the air does not count
+    assert late["stance_slip_m_per_s"] != pytest.approx(standing["stance_slip_m_per_s"], rel=1e-3)
+    for side in "rl":
+        recording.heel_above[side] = np.full_like(recording.along, 0.01)
+    hanging = adaptation.gait_of(recording, 2.0)
+    assert hanging["stance_slip_m_per_s"] is None
+    assert hanging["heel_stands_share"] == 0.0
 
 
 def test_the_cap_is_the_persons_own():

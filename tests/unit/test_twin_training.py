@@ -23,6 +23,7 @@ from real2sim.study.twin.env import (
     correction_of,
     observe,
     rotations,
+    slip_sq,
 )
 from real2sim.study.twin.evaluate import accepted, free_walk, push_battery, pushed_walk, withstands
 from real2sim.study.twin.human import MIRROR, MIRROR_SIGN
@@ -159,6 +160,30 @@ def test_the_reward_sees_the_floor_in_every_simulation_step():
     assert between > 10, "strikes between control steps, or this shows nothing"
 
 
+def test_only_a_heel_on_the_floor_slips():
+    # right before left: place, velocity
+    right, left = [0, 0, -0.001, 0.3, 0.4, 9.0], [0, 0, 0.02, 2.0, 0.0, 0.0]
+    sensors = np.array([[right + left, right + left], [left + left, right + left]])
+    np.testing.assert_allclose(slip_sq(sensors), [0.25, 0.125])
+
+
+def test_a_heel_that_slides_costs_what_its_weight_says():
+    action = np.zeros((8, ACTIONS))
+    rewards = []
+    for weight in (0.0, 2.0):
+        env = _env(8)
+        env.settings["reward"]["slip"] = weight
+        env.reset(np.arange(8), 0.0, np.zeros(8))
+        for _ in range(8):
+            env.step(_still(env.observation()))
+        # a whole person who moves sideways slides on the standing foot
+        env._qvel[:, 1] += 0.1 * np.arange(8)
+        rewards.append(env.step(action)[0])
+    cost = rewards[0] - rewards[1]
+    np.testing.assert_allclose(cost, 2 * np.minimum(env._slip_sq, 0.0625))
+    assert cost[7] > 1.1 * cost[0] > 0
+
+
 def _no_stops(settings: dict) -> dict:
     return settings | {"stops": settings["stops"] | {"share": 0.0}}
 
@@ -190,13 +215,14 @@ def test_held_pelvises_are_drawn_toward_a_slower_speed():
     assert 0 < np.mean(np.any(np.array(seen) != 0, axis=2)) < 0.5
 
 
-def test_springs_of_a_hold_pull_to_the_lane_to_the_height_of_standing_and_upright():
+def test_springs_of_a_hold_pull_to_the_lane_to_the_height_of_walking_and_upright():
     settings, env = twin_settings()["training"]["hold"], _env(200)
     env.hold(_no_stops(settings) | {"share": 0.5, "towed": 0.5})
     env.reset(np.arange(200), 0.0)
     sideways, up, roll, pitch = 0.03, -0.02, 0.05, -0.04
     env.lane_y[:] = 0.01
-    env._qpos[:, 1], env._qpos[:, 2] = env.lane_y + sideways, WHO.hip_height + up
+    walking = float(reference().qpos[:, 2].mean())
+    env._qpos[:, 1], env._qpos[:, 2] = env.lane_y + sideways, walking + up
     env._qpos[:, 3:7] = Rotation.from_euler("xy", [roll, pitch]).as_quat(scalar_first=True)
     env._apply_forces()
     spring, load = env._spring, env._push[:, 1]
@@ -395,9 +421,9 @@ def test_who_passes_the_free_walk_is_pushed_too(monkeypatch):
 def test_a_short_training_learns():
     settings = _small(simulations=48, horizon=32)
     trainer = Trainer(WHO, reference(), settings, seed=1, threads=1)
-    rows = [trainer.iterate() for _ in range(10)]
+    rows = [trainer.iterate() for _ in range(48)]
     # the mean reward of standing starts is unfair: the first iterations only see good states
-    assert np.mean([r["reward"] for r in rows[-3:]]) > np.mean([r["reward"] for r in rows[3:6]])
+    assert np.mean([r["reward"] for r in rows[-5:]]) > np.mean([r["reward"] for r in rows[3:8]]) + 0.02
     assert all(np.isfinite(r["kl"]) for r in rows)
 
 

@@ -970,6 +970,7 @@ TwinTrainingRewardSettings = TypedDict(
         "pose_sharpness": float,
         "force": float,
         "force_from_bw": float,
+        "slip": float,
     },
 )
 

@@ -67,9 +67,10 @@ def gait_of(recording: Recording, settle_s: float) -> dict[str, Any]:
     """Return how walkers went after settling, each figure a mean over them; {} where nobody has a whole stride.
 
     ``speed_m_per_s`` of the pelvis, ``stride_m``, ``cadence_per_min`` (steps), ``stride_speed_m_per_s`` (stride times
-    half the cadence), ``stance_slip_m_per_s`` (RMS speed of the heel over the floor from foot flat to heel off,
-    ``_FLAT`` of the cycle), ``pelvis_rotation_deg`` (range of the heading within a stride), ``robot_speed_m_per_s``
-    (None without a robot).
+    half the cadence), ``stance_slip_m_per_s`` (RMS speed over the floor of a heel that stands on it, from foot flat to
+    heel off, ``_FLAT`` of the cycle; None where none stands), ``heel_stands_share`` (share of that time in which it
+    does), ``pelvis_rotation_deg`` (range of the heading within a stride), ``robot_speed_m_per_s`` (None without a
+    robot).
     """
     rows = []
     for row in range(len(recording.alive)):
@@ -84,38 +85,45 @@ def gait_of(recording: Recording, settle_s: float) -> dict[str, Any]:
             rows.append([speed, robot, *np.mean(found, axis=0)])
     if not rows:
         return {}
-    speed, robot, length, lasts, slip_sq, turn = np.mean(rows, axis=0)
+    speed, robot, length, lasts, moves, stands, turn = np.mean(rows, axis=0)
     return {
         "speed_m_per_s": float(speed),
         "stride_m": float(length),
         "cadence_per_min": float(120 / lasts),
         "stride_speed_m_per_s": float(length / lasts),
-        "stance_slip_m_per_s": float(np.sqrt(slip_sq)),
+        "stance_slip_m_per_s": float(np.sqrt(moves / stands)) if stands else None,
+        "heel_stands_share": float(stands),
         "pelvis_rotation_deg": float(turn),
         "robot_speed_m_per_s": float(robot) if np.isfinite(robot) else None,
     }
 
 
 def _stride_figures(recording: Recording, row: int, side: str, known: np.ndarray) -> list[float]:
-    """Return stride length [m] and time [s], mean square of the heel's slip [m2/s2], range of heading [deg]."""
+    """Return stride length [m] and time [s], slip of the heel and its share of standing, range of heading [deg].
+
+    The slip is the mean over foot flat to heel off of the square of the heel's speed over the floor [m2/s2], zero where
+    it does not stand on it: at or below its level.
+    """
     strikes = _strikes_of(recording, row, side, known)
     if len(strikes) < 2:
         return []
     time = recording.time_s[known]
     heel = np.column_stack([recording.heel_along[side][row][known], recording.heel_across[side][row][known]])
-    moving = np.sum(np.gradient(heel, time, axis=0) ** 2, axis=1)
+    stands = recording.heel_above[side][row][known] <= 0.0
+    moving = np.where(stands, np.sum(np.gradient(heel, time, axis=0) ** 2, axis=1), 0.0)
     yaw = np.degrees(np.unwrap(recording.pelvis_yaw[row][known]))
     slips, turns = [], []
     for a, b in pairwise(strikes):
         phase = (time - a) / (b - a)
-        slips.append(moving[(phase >= _FLAT[0]) & (phase <= _FLAT[1])].mean())
+        flat = (phase >= _FLAT[0]) & (phase <= _FLAT[1])
+        slips.append([moving[flat].mean(), stands[flat].mean()])
         turns.append(np.ptp(yaw[(phase >= 0) & (phase <= 1)]))
     length = np.diff(np.interp(strikes, time, heel[:, 0])).mean()
-    return [float(length), float(np.diff(strikes).mean()), float(np.mean(slips)), float(np.mean(turns))]
+    return [float(length), float(np.diff(strikes).mean()), *np.mean(slips, axis=0), float(np.mean(turns))]
 
 
 def measured_gait(walks: list[Walk]) -> dict[str, Any]:
-    """Return speed, stride, cadence and pelvis rotation of measured walks in the form of `gait_of`, without slip."""
+    """Return speed, stride, cadence and pelvis rotation of measured walks in the form of `gait_of`."""
     speed = float(np.mean([w.speed for w in walks]))
     lasts = float(np.mean([w.stride_s for w in walks]))
     headings = [

@@ -138,10 +138,11 @@ class Condition:
 class Recording:
     """Motion of some walkers, (m, n) unless said otherwise; NaN after a fall.
 
-    ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead`` of the pelvis, ``heel_along`` and ``heel_across`` in
-    the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_yaw`` [rad]; ``interface`` (m, n, 6) strap
-    coordinates q; ``wrench`` (m, n, 6) of springs and dampers of the strap on the interface along them [N, Nm], without
-    the stops; ``base_speed`` of the robot [m/s], NaN without one; ``alive``, ``survived_s`` (m,).
+    ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead`` of the pelvis, ``heel_along``, ``heel_across`` and
+    ``heel_above`` the floor in the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_yaw`` [rad];
+    ``interface`` (m, n, 6) strap coordinates q; ``wrench`` (m, n, 6) of springs and dampers of the strap on the
+    interface along them [N, Nm], without the stops; ``base_speed`` of the robot [m/s], NaN without one; ``alive``,
+    ``survived_s`` (m,).
     """
 
     time_s: np.ndarray
@@ -149,6 +150,7 @@ class Recording:
     heel_ahead: dict[str, np.ndarray]
     heel_along: dict[str, np.ndarray]
     heel_across: dict[str, np.ndarray]
+    heel_above: dict[str, np.ndarray]
     along: np.ndarray
     pelvis_yaw: np.ndarray
     interface: np.ndarray
@@ -313,6 +315,7 @@ class _Walkers:
             {side: x - along for side, x in heel.items()},
             heel,
             {side: s[..., 14 + 3 * i] for i, side in enumerate(FEET)},
+            {side: s[..., 15 + 3 * i] for i, side in enumerate(FEET)},
             along,
             _yaw(s[..., 3:7]),
             kept["q"].astype(float),

@@ -12,11 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from real2sim.study.twin.gait import Reference
 from real2sim.study.twin.human import (
     COMMANDED,
+    FEET,
     GAINS,
     JOINTS,
     MIRROR,
@@ -55,6 +57,8 @@ _SCALE = {
     "lumbar_bending": 0.20,
     "lumbar_rotation": 0.15,
 }
+# Speed over the floor from which a heel that slips faster costs no more [m/s]
+_FAST_SLIP = 0.25
 # Weight of a joint in the imitation reward
 _WEIGHT = {"hip_flexion": 3.0, "knee_angle": 1.0, "ankle_angle": 2.0}
 
@@ -89,6 +93,24 @@ def servo_target(
     target = qpos[:, 7:] + servo_lead_s() * np.reshape(cadence, (-1, 1)) * qvel[:, 6:] + torque / kp
     target[:, :ACTIONS] += correction
     return np.asarray(target)
+
+
+def add_heel_sensors(spec: mujoco.MjSpec) -> None:
+    """Add sensors of each heel's place and velocity in the world, right before left: 3 columns each."""
+    kinds, site = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE
+    for side in FEET:
+        for name, kind in (("place", kinds.mjSENS_FRAMEPOS), ("velocity", kinds.mjSENS_FRAMELINVEL)):
+            spec.add_sensor(name=f"heel_{name}_{side}", type=kind, objtype=site, objname=f"heel_{side}")
+
+
+def slip_sq(sensors: np.ndarray) -> np.ndarray:
+    """Mean square speed over the floor of heels that stand on it, both feet added up (n,) [m2/s2].
+
+    ``sensors`` (n, steps, 12) of `add_heel_sensors`. A heel stands where it is at or below the floor's level.
+    """
+    heels = sensors.reshape(*sensors.shape[:-1], 2, 6)
+    stands, speed_sq = heels[..., 2] <= 0.0, np.sum(heels[..., 3:5] ** 2, axis=-1)
+    return np.asarray(np.where(stands, speed_sq, 0.0).sum(axis=-1).mean(axis=-1))
 
 
 @dataclass
@@ -259,7 +281,9 @@ class WalkEnv:
         seed: int,
     ):
         self.who, self.reference, self.settings = who, reference, settings
-        self.model = human_spec(who, human).compile()
+        spec = human_spec(who, human)
+        add_heel_sensors(spec)
+        self.model = spec.compile()
         self.batch = untimed_batch(self.model, nsim, threads)
         self.nsim = nsim
         self.substeps = int(human["substeps"])
@@ -269,6 +293,7 @@ class WalkEnv:
         self._qpos, self._qvel = (self.batch.bind(n) for n in ("qpos", "qvel"))
         self._warm, self._push = self.batch.bind("qacc_warmstart"), self.batch.bind("xfrc_applied")
         self._floor_force = np.zeros(nsim)  # see `floor_force_bw` [N]
+        self._slip_sq = np.zeros(nsim)  # of the last control step, see `slip_sq`
         self.phase = np.zeros(nsim)
         self.age = np.zeros(nsim, int)
         self.lane_y = np.zeros(nsim)
@@ -294,9 +319,9 @@ class WalkEnv:
 
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
         the path pulls toward a speed within ``speed`` (shares of the person's own); of those held, a share is only
-        towed by it. The others have springs and an inertia in yaw as well. Springs rest in the lane, at the height of
-        standing, upright. Another share of the simulations hangs in a strap that does nothing before its stops
-        (`Stops`).
+        towed by it. The others have springs and an inertia in yaw as well. Springs rest in the lane, upright, at the
+        mean height of the gait, at which the arms of coupled walks stand. Another share of the simulations hangs in a
+        strap that does nothing before its stops (`Stops`).
         """
         rng, n = self.rng, self.nsim
         drawn = rng.uniform(size=n)
@@ -430,7 +455,7 @@ class WalkEnv:
         away = np.column_stack(
             [
                 root.position[:, 1] - self.lane_y,
-                root.position[:, 2] - self.who.hip_height,
+                root.position[:, 2] - self._height,
                 turn[:, 2, 1],
                 -turn[:, 2, 0],
             ]
@@ -452,7 +477,8 @@ class WalkEnv:
             self._schedule_pushes()
         self._apply_forces()
         control = np.repeat(self.command(action)[:, None], self.substeps, axis=1)
-        record = self.batch.rollout(self.substeps, control, record=("qfrc_constraint",))
+        record = self.batch.rollout(self.substeps, control, record=("qfrc_constraint", "sensordata"))
+        self._slip_sq = slip_sq(record["sensordata"])
         self._floor_force = record["qfrc_constraint"][:, :, 2].max(axis=1)
         self.advance()
         reward = self._reward(action)
@@ -508,5 +534,6 @@ class WalkEnv:
             - 0.004 * np.sum(action**2, axis=1)
             - 0.006 * np.sum((action - self._last) ** 2, axis=1)
             - w["force"] * np.minimum(landing, 4.0)
+            - w["slip"] * np.minimum(self._slip_sq, _FAST_SLIP**2)
         )
         return reward

@@ -473,6 +473,7 @@ WALK_COLUMNS = (
     "cadence_per_min",
     "stride_speed_m_per_s",
     "stance_slip_m_per_s",
+    "heel_stands_share",
     "pelvis_rotation_deg",
     "robot_speed_m_per_s",
     "survived",

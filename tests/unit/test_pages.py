@@ -85,6 +85,7 @@ def _diagnosis(verdict="slack", phantom=True, causes=("slack", "soft_tissue"), *
         "robot_holds": "start pose",
         "otherwise": None,
         "pelvis_markers_jumped_s": {},
+        "limits_crossed": {},
         "fitted_the_other_way": False,
         "train": ["dynamic_1"],
         "held_out": ["dynamic_2"],
@@ -227,6 +228,12 @@ def test_the_page_tells_which_pelvis_markers_were_not_believed(tmp_path):
     text = _page(tmp_path, _diagnosis(pelvis_markers_jumped_s=jumped)).text
     assert "In dynamic_2 pelvis markers jump (PSIS_R for 0.34 s, ASIS_L for 0.2 s)" in text
     assert "markers jump" not in _page(tmp_path, _diagnosis()).text
+
+
+def test_the_page_tells_which_joint_limits_the_recording_contradicts(tmp_path):
+    text = _page(tmp_path, _diagnosis(limits_crossed={"dynamic_1": ["tz lower", "ry upper"]})).text
+    assert "dynamic_1 is beyond joint limits of the sweeps (tz lower, ry upper)" in text
+    assert "joint limits of the sweeps" not in _page(tmp_path, _diagnosis()).text
 
 
 def test_page_says_where_the_controller_holds_where_that_is_not_the_start_pose(tmp_path):

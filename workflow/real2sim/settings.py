@@ -768,6 +768,7 @@ DiagnosisSettings = TypedDict(
         "left_out": list[str],
         "noise_draws": int,
         "noise": DiagnosisNoiseSettings,
+        "crossed_limit_share": float,
         "jumps": DiagnosisJumpsSettings,
         "start": DiagnosisStartSettings,
         "skin": DiagnosisSkinSettings,

@@ -69,6 +69,7 @@ _KEYS = (
     "robot_holds",
     "otherwise",
     "pelvis_markers_jumped_s",
+    "limits_crossed",
     "fitted_the_other_way",
     "train",
     "held_out",
@@ -325,6 +326,12 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
     for trial, markers in d["pelvis_markers_jumped_s"].items():
         which = ", ".join(f"{marker} for {rounded(s)} s" for marker, s in markers.items())
         what = f"In {trial} pelvis markers jump ({which}): there the pelvis is taken from the others. Label them again."
+        parts.append(paragraph(what))
+    for trial, sides in d["limits_crossed"].items():
+        what = (
+            f"{trial} is beyond joint limits of the sweeps ({', '.join(sides)}): the simulation has no stop there. "
+            "Has the strap moved since neutral and the sweeps?"
+        )
         parts.append(paragraph(what))
     if chi2_per_residual(d) is not None:
         summary = "The same as cost J, which the study minimises"

@@ -220,4 +220,5 @@ def _about(
         "shown_on": [train.name if pair.exchanged else held_out.name],
         "fitted_the_other_way": the_other_way,
         "pelvis_markers_jumped_s": {name: dict(r.jumped_s) for name, r in recorded.items() if r.jumped_s},
+        "limits_crossed": {name: list(r.crossed) for name, r in recorded.items() if r.crossed},
     }

@@ -64,7 +64,8 @@ class Recorded:
     ``robot`` (n, 6) is what `robot_motion` returns, None without a log; ``context`` goes to the effects; ``cost`` is J
     of the paper; ``coordinates`` (n, 6) of the interface [m, rad]; ``skin`` is what the pelvis' markers show of each
     other; ``jumped_s`` for how long [s] pelvis markers jumped; ``path`` is the filter that made the most probable path
-    of the pelvis; ``put_back`` are gaps of pelvis markers that were lost or jumped.
+    of the pelvis; ``put_back`` are gaps of pelvis markers that were lost or jumped; ``crossed`` are sides of joint
+    limits that it is beyond (`without_crossed`).
     """
 
     trial: Trial
@@ -76,6 +77,7 @@ class Recorded:
     skin: Skin | None = None
     jumped_s: Mapping[str, float] = field(default_factory=dict)
     put_back: tuple[PutBack, ...] = ()
+    crossed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

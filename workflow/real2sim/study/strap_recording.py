@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from real2sim import signals
-from real2sim.effects.base import Scales
+from real2sim.effects.base import FAR, Scales
 from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
-from real2sim.geometry import interface_frame
+from real2sim.geometry import AXES, interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording import missing_marker
 from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
@@ -31,7 +31,7 @@ from real2sim.recording.tables import (
 from real2sim.recording.trial import Trial, load_limits, load_trial
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
-from real2sim.system.plant import impedances, load_robot
+from real2sim.system.plant import JointLimits, impedances, load_robot
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSkinSettings, Settings
@@ -81,6 +81,11 @@ def load_evidence(
     ones = np.ones(6)
     scales = Scales(_large(recorded.coordinates), _large(qd), ones, ones, ones)
     known = None if limits is None else load_limits(limits)
+    if known is not None:
+        known, crossed = without_crossed(
+            known, recorded.coordinates, settings["diagnosis"]["crossed_limit_share"]
+        )
+        recorded = replace(recorded, crossed=crossed)
     setup = PlantSetup(strap_system(robot, settings), settings, known, threads)
     return StrapEvidence(recorded, levels, scales, setup, settled, name=folder.as_posix())
 
@@ -170,6 +175,31 @@ def _context(
         MarkerShapes(pelvis_shape(trial), _rest_shape(trial)),
         twin.body("interface").pos,
     )
+
+
+def without_crossed(limits: JointLimits, q: np.ndarray, most: float) -> tuple[JointLimits, tuple[str, ...]]:
+    """Return joint limits without the sides that a recording is beyond, and those sides ("tz lower", ...).
+
+    Sweeps show how far a strap was moved, not how far it goes. A recording that stays beyond such a limit was made
+    where that limit is not, because the strap moved after the sweeps, say. Held back there, a simulation would be
+    pinned to a stop that nobody touched.
+
+    Parameters
+    ----------
+    limits
+        Joint limits of the person [m, rad].
+    q
+        Recorded coordinates of the interface (n, 6) [m, rad].
+    most
+        Largest share of samples beyond a limit that holds.
+    """
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    crossed = []
+    for side, of_side, beyond in (("lower", lower, q < lower), ("upper", upper, q > upper)):
+        where = beyond.mean(axis=0) > most
+        crossed += [f"{AXES[i]} {side}" for i in np.flatnonzero(where)]
+        of_side[where] = -FAR if side == "lower" else FAR
+    return JointLimits(lower, upper), tuple(crossed)
 
 
 def _large(values: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from real2sim.recording.quality.gates import _limits
 from real2sim.study.strap_recording import without_crossed
 from real2sim.system.plant import JointLimits
 
@@ -41,3 +42,17 @@ def test_a_few_samples_beyond_a_limit_leave_it():
     q = _swaying(0.0)
     q[:10, 2] = -0.05
     assert without_crossed(LIMITS, q, 0.05)[1] == ()
+
+
+@pytest.mark.parametrize(("about", "remedy"), [(0.022, "Move less far"), (-0.03, "move after neutral")])
+def test_the_gate_says_what_brings_a_recording_back_within_its_limits(about, remedy):
+    gate = _limits(
+        _swaying(about), (LIMITS.lower, LIMITS.upper), {"margin": 0.02, "warn": 0.2, "refuse": 0.6}
+    )
+    assert gate.verdict != "pass"
+    assert remedy in gate.remedy
+
+
+def test_the_gate_of_a_recording_within_its_limits_asks_for_nothing():
+    gate = _limits(_swaying(0.0), (LIMITS.lower, LIMITS.upper), {"margin": 0.02, "warn": 0.2, "refuse": 0.6})
+    assert (gate.verdict, gate.remedy) == ("pass", "")

@@ -578,9 +578,15 @@ def _limits(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray], settings: Qual
     parts = ", ".join(f"{a} {100 * s:.1f} %" for a, s in zip(geometry.AXES, share, strict=True) if s > 0)
     message = f"samples at a joint limit: {parts or 'none'}"
     verdict = by_size(float(share[worst_axis]), [settings["warn"], settings["refuse"]])
-    remedy = (
-        "" if verdict == PASS else "Move less far, or record rotation and translation at T* to the limits."
-    )
+    remedy = ""
+    if verdict != PASS:
+        middle = float(np.nanmedian(q[:, worst_axis]))
+        # moving less far brings nobody back who is beyond a limit in the middle of the motion
+        remedy = (
+            "Move less far, or record rotation and translation at T* to the limits."
+            if low[worst_axis] <= middle <= high[worst_axis]
+            else "The strap stays beyond it: did it, or a marker, move after neutral? Record neutral and sweeps again."
+        )
     threshold = [settings["warn"], settings["refuse"]]
     value = float(share[worst_axis])
     return Gate("limits", verdict, value, "1", threshold, message, remedy, None, "quality.limits")

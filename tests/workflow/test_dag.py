@@ -111,8 +111,9 @@ def test_robots_that_may_have_held_the_strap_are_inputs_of_the_diagnosis_alone(p
     assert "no such file" in done.stdout
 
 
-def test_people_with_a_sealed_gap_are_written_and_analysed_without_it(project):
-    jobs = _jobs(project, "--configfile", "config/gap.yaml")
+@pytest.mark.parametrize("settings", ["gap", "gap-published"])
+def test_people_with_a_sealed_gap_are_written_and_analysed_without_it(project, settings):
+    jobs = _jobs(project, "--configfile", f"config/{settings}.yaml")
     assert [job["rule"] for job in jobs].count("diagnose") == 6
     told = [job["command"] for job in jobs if '"gap": {"enabled": true' in job["command"]]
     assert len(told) == 6

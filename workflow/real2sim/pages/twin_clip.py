@@ -78,7 +78,13 @@ def dress(spec: mujoco.MjSpec, robot: Path) -> None:
     floor = spec.geom("floor")
     floor.material, floor.rgba = "grid", [1, 1, 1, 1]
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.worldbody.add_light(pos=[0, -2, 4], dir=[0, 0.4, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    # it goes along with the person: beyond its surroundings a light casts no shadow
+    spec.body("pelvis").add_light(
+        pos=[0, -2, 3],
+        dir=[0, 0.4, -1],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+    )
 
 
 class _ShownWalk(CoupledWalk):

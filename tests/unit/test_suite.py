@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from real2sim.artefacts import write_json
 from real2sim.configuration import validated
 from real2sim.effects.base import Placed
 from real2sim.effects.catalogue import EFFECTS
@@ -488,23 +489,38 @@ def test_files_are_those_planned_the_same_twice_and_can_be_ingested(written, tmp
         assert (tmp_path / name / "dynamic_2" / "pose.parquet").exists()
 
 
-def test_imagined_trials_are_those_of_the_plain_strap_and_no_larger_than_a_person_can(written, tmp_path):
-    folder, suite, study = written
+def _evidence(written, folder: Path, limits: Path | None = None) -> StrapEvidence:
+    """Evidence of the first person's first dynamic trial, ingested into ``folder``."""
+    source, suite, study = written
     name = plan.case_names(suite, 0)[0]
     ingest_subject(
-        subject=name, folder=folder / "a/raw" / name, settings=study["ingest"], raw=[], out=tmp_path / name
+        subject=name, folder=source / "a/raw" / name, settings=study["ingest"], raw=[], out=folder / name
     )
-    settings = study | {"plant": study["plant"] | {"timestep_s": 0.01}}
-    neutral = tmp_path / name / "neutral"
-    noise = NoiseModel.measure(neutral, study["ingest"], study["diagnosis"]["noise"])
-    evidence = load_evidence(
-        folder=tmp_path / name / "dynamic_1",
+    neutral = folder / name / "neutral"
+    return load_evidence(
+        folder=folder / name / "dynamic_1",
         neutral=neutral,
-        limits=None,
+        limits=limits,
         robot=ROBOT,
-        settings=settings,
-        noise=noise,
+        settings=study | {"plant": study["plant"] | {"timestep_s": 0.01}},
+        noise=NoiseModel.measure(neutral, study["ingest"], study["diagnosis"]["noise"]),
     )
+
+
+def test_a_simulation_has_no_stop_where_its_recording_is_beyond_the_limit(written, tmp_path):
+    limits = tmp_path / "limits.json"
+    # who moves at all is above this limit along y half of the time
+    write_json(limits, {"q_min": [-0.5] * 6, "q_max": [0.5, 0.0, 0.5, 0.5, 0.5, 0.5]})
+    evidence = _evidence(written, tmp_path, limits)
+    assert evidence.recorded.crossed == ("ty upper",)
+    left = evidence.setup.limits
+    assert left.upper[1] > 1.0
+    np.testing.assert_array_equal(np.delete(left.upper, 1), 0.5)
+    np.testing.assert_array_equal(left.lower, -0.5)
+
+
+def test_imagined_trials_are_those_of_the_plain_strap_and_no_larger_than_a_person_can(written, tmp_path):
+    evidence = _evidence(written, tmp_path)
     lower, upper = evidence.setup.system.bounds()
     parameters = evidence.setup.system.values((lower + upper) / 2)
     large = np.percentile(np.abs(_moved(evidence)), 95, axis=0)

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
-from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMass, markers_of
 from real2sim.effects.replay import EffectReplay
 from real2sim.study.strap import strap_system
 from real2sim.system.description import System
-from real2sim.system.plant import RestPose
+from real2sim.system.plant import RestPose, load_robot, moment_about_yaw
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
 
@@ -70,7 +70,7 @@ def replay(
         position,
         rotation,
         10,
-        100.0,
+        RobotMass(100.0, moment_about_yaw(load_robot(ROBOT).compile(), "interface")),
         still,
         np.zeros((len(time), 2), bool),
         -offset + noise,

@@ -15,6 +15,7 @@ from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.effects.base import Placed
 from real2sim.effects.markers import drifting_marker
 from real2sim.errors import InputError
+from real2sim.system.described_plant import load_model
 from real2sim.system.description import shipped
 from real2sim.verification.systems import cuff, drba, one_axis
 from real2sim.verification.systems.emps_data import read_emps
@@ -154,6 +155,18 @@ def test_joints_of_a_described_machine_yield_as_described_at_rest_and_otherwise_
         assert np.abs(there - plain).max() < 1e-9, placed.key
         away = evidence.raw(*evidence.replay((placed,), 1).run_effects(middle, (rest - 1.0,)))
         assert np.abs(away - plain).max() > 1e-5, placed.key
+
+
+def test_the_machine_weighs_what_its_model_weighs(tmp_path):
+    """The driven segment is a body of immense inertia behind it."""
+    system = r2s.System.from_yaml(shipped("cuff") / "system.yaml")
+    cuff.simulate(None, 0.0, 1, tmp_path, duration_s=3.2)
+    settings = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
+    train, quiet = (r2s.Recording.read(system, tmp_path / f"{t}.parquet") for t in ("train", "quiet"))
+    context = DescribedTrial(system, train, quiet, settings).evidence().context
+    own = load_model(system).compile().body_mass.sum()
+    assert own < 1e3
+    assert context.robot.mass == pytest.approx(own)
 
 
 def test_quiet_recording_that_is_too_short_for_a_rest_pose_is_refused(tmp_path):

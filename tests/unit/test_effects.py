@@ -20,7 +20,7 @@ from real2sim.effects.planned import PlannedForce
 from real2sim.geometry import AXES, interface_frame
 from real2sim.signals import lowpass
 from real2sim.study import strap_evidence
-from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, robot_pose_for
+from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, load_robot, robot_pose_for
 from real2sim.system.replay import servo_command
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -37,7 +37,7 @@ from tests.unit.simulated_effects import (
     replay,
     undriven,
 )
-from tests.unit.test_coupling import CONFIG, PRIOR, REST, rotation_xyz, smooth_motion
+from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
 
 IMPEDANCE = InterfaceImpedance(PRIOR[None, :6], PRIOR[None, 6:])
 
@@ -105,6 +105,26 @@ def test_outliers_show_the_measurement_where_a_marker_jumps(plain):
     np.testing.assert_array_equal(paths[0, 50, 0], context.measured[50, 0])
     paths[0, 50, 0] = plain[0][0, 50, 0]
     np.testing.assert_array_equal(paths, plain[0])
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
+def test_a_slope_pulls_every_body_as_gravity_does(heading):
+    """What is ahead of the axis that the base turns about turns it: the force is MuJoCo's own."""
+    slope = np.array([0.02, -0.013])
+    spec = load_robot(ROBOT)
+    spec.option.gravity = [*(9.81 * slope), 0.0]
+    for body in spec.bodies:
+        body.gravcomp = 0
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.joint("base_yaw").qpos[0] = heading
+    mujoco.mj_forward(model, data)
+    context = replay([])._context
+    looks = np.tile(rotation_xyz([0.0, 0.0, heading]), (len(context.time_s), 1, 1))
+    turned = replace(context, interface_rotation=looks)
+    force = placed_whole("tilt").effect.plant.force(slope[None], turned, Where(STRAP, ()), IMPEDANCE)
+    np.testing.assert_allclose(force[0, 0], -data.qfrc_bias[:3], atol=1e-9)
+    assert abs(force[0, 0, 2]) > 0.1
 
 
 def test_dry_friction_holds_without_creeping():

@@ -16,7 +16,7 @@ from real2sim.diagnosis.law_equations import Products
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import FAILED, Search
 from real2sim.diagnosis.trials import Trials
-from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMass
 from real2sim.effects.families import (
     POSTURE,
     RATES,
@@ -62,7 +62,7 @@ def _moving_base(seconds: float, size: float) -> Context:
         swing,
         upright,
         100,
-        100.0,
+        RobotMass(100.0, np.zeros(2)),
         measured,
         seen,
         still,

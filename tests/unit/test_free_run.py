@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals, refit, refit_freely
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Where
-from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMass
 from real2sim.effects.free_run import settled, with_strap_motion
 from real2sim.effects.planned import FamilyForce
 from real2sim.effects.replay import EffectReplay
@@ -75,7 +75,7 @@ def moving_strap():
         np.zeros((n, 3)),
         bar,
         0,
-        100.0,
+        RobotMass(100.0, np.zeros(2)),
         markers,
         np.zeros((n, 2), bool),
         q,

@@ -15,17 +15,17 @@ from real2sim import signals
 from real2sim.diagnosis.site_check import check_sites
 from real2sim.diagnosis.system_evidence import Measured, Simulated, SystemEvidence
 from real2sim.effects.base import Scales
-from real2sim.effects.chains import Context, MarkerShapes, NeutralPose
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMass
 from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
-from real2sim.geometry import mean_rotation, relative_pose
+from real2sim.geometry import mean_rotation, relative_pose, rotation_xyz
 from real2sim.recording.levels import moving_sd, white_sd
 from real2sim.recording.table import Recording, check_columns, log_columns
 from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of
-from real2sim.system.description import FORCE, PATH, POSE, System
+from real2sim.system.description import BASE_JOINTS, FORCE, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
-from real2sim.system.plant import RestPose, compiled
+from real2sim.system.plant import RestPose, compiled, moment_about_yaw
 from real2sim.system.replay import servo_command
 
 if TYPE_CHECKING:
@@ -623,15 +623,17 @@ class DescribedTrial:
         rotation = still if segment is None else segment.rotation
         position = np.zeros((n, 3)) if segment is None else segment.position
         shape = np.zeros((4, 3)) if segment is None else segment.shape
-        mass = float(self._plain.body_mass[1:].sum())
+        yaw = self._position.get(BASE_JOINTS[2])
+        # without the segment, whose inertia stands in for a motion that nothing changes
+        machine = load_model(self._system).compile()
         return Context(
             measured.time_s,
             measured.time_s,
             rotation,
             position,
-            still,
+            still if yaw is None else rotation_xyz(np.outer(yaw, [0, 0, 1])),
             self._start,
-            mass,
+            RobotMass(float(machine.body_mass.sum()), moment_about_yaw(machine)),
             measured.observed,
             np.zeros(measured.observed.shape, bool),
             q,

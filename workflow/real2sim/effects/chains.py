@@ -31,12 +31,24 @@ class MarkerShapes:
 
 
 @dataclass(frozen=True)
+class RobotMass:
+    """Masses that gravity pulls where the floor slopes: ``mass`` [kg] of the robot and ``moment`` (2,) [kg m].
+
+    The moment is the mass of what turns with the base times the horizontal place of its centre, from the axis that it
+    turns about, in the interface's heading.
+    """
+
+    mass: float
+    moment: np.ndarray
+
+
+@dataclass(frozen=True)
 class Context:
     """Measurements of a trial that chains and planned forces are computed from.
 
     ``time_s`` (n,) samples and ``step_time_s`` (nstep,) steps; ``pelvis_rotation`` (n, 3, 3), ``pelvis_position``
     (n, 3) of the driven segment; ``interface_rotation`` (n, 3, 3) measured; ``start`` sample index up to which the
-    person stands; ``robot_mass`` [kg]; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
+    person stands; ``robot`` its mass; ``measured`` (n, 2, 3) interface markers and ``spikes`` (n, 2) where they jump;
     ``coordinates`` and ``rates`` (n, axes) of the interface, measured; ``neutral`` pose of the segment;
     ``shapes`` of the markers on it; ``on_arm`` (3,) position of the interface on the robot's arm, with
     whose roll and pitch it turns [m]; ``held_out``: the trial is not the one that is fitted.
@@ -48,7 +60,7 @@ class Context:
     pelvis_position: np.ndarray
     interface_rotation: np.ndarray
     start: int
-    robot_mass: float
+    robot: RobotMass
     measured: np.ndarray
     spikes: np.ndarray
     coordinates: np.ndarray

@@ -12,12 +12,27 @@ from real2sim.system.description import BASE_JOINTS
 
 
 def tilt(values: np.ndarray, context: Context, where: Where, impedance: InterfaceImpedance) -> np.ndarray:
-    """Return forces (m, steps, 2) [N] on the base, for slopes (m, 2) [rad]."""
-    force = 9.81 * context.robot_mass * values
-    return np.repeat(force[:, None, :], len(context.step_time_s), axis=1)
+    """Return forces on the base along x and y [N] and about its axis [Nm], (m, steps, 3), for slopes (m, 2) [rad].
+
+    Gravity pulls at the centre of mass. What carries the interface lies ahead of the axis that the base turns about, so
+    that a slope turns the robot, too, by a moment that depends on where it looks.
+    """
+    pull = 9.81 * values
+    turned = context.interface_rotation
+    heading = np.unwrap(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
+    heading = np.interp(context.step_time_s, context.time_s, heading)
+    x, y = context.robot.moment
+    ahead = np.stack([np.cos(heading) * x - np.sin(heading) * y, np.sin(heading) * x + np.cos(heading) * y])
+    out = np.empty((len(values), len(heading), 3))
+    out[..., :2] = context.robot.mass * pull[:, None]
+    out[..., 2] = pull[:, 1:] * ahead[0] - pull[:, :1] * ahead[1]
+    return out
 
 
-_SLOPING_FLOOR = "Add to base_x and base_y a constant force: slope times 9.81 m/s2 times the robot's mass"
+_SLOPING_FLOOR = (
+    "Add to base_x and base_y a constant force, slope times 9.81 m/s2 times the robot's mass, and to base_yaw the"
+    " moment of that force at the centre of mass"
+)
 
 EFFECTS = (
     Effect(
@@ -31,7 +46,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"base"}),
-        plant=PlannedForce(tilt, BASE_JOINTS[:2], ("place",)),
+        plant=PlannedForce(tilt, BASE_JOINTS, ("place",)),
         remedy=_SLOPING_FLOOR,
     ),
     Effect(
@@ -45,7 +60,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"base", "pose"}),
-        plant=StandingForce(tilt, BASE_JOINTS[:2], ("place",)),
+        plant=StandingForce(tilt, BASE_JOINTS, ("place",)),
         form="always",
         remedy=_SLOPING_FLOOR,
     ),

@@ -522,6 +522,7 @@ class EffectReplay(FreeRuns, Replay):
         held = fields["jnt_stiffness"][:, self._robot_joints]
         # the robot stood by the pelvis as it does now, which looked elsewhere
         heading = context.pelvis_rotation[0] @ context.neutral.rotation.T
+        there = replace(context, interface_rotation=heading.T @ context.interface_rotation)
         position = np.atleast_2d(self._starts(m)[0])
         given = self._jacobian(model, position[0])
         follow = -np.linalg.solve(given[:, self._dofs], given[:, robot])
@@ -529,7 +530,7 @@ class EffectReplay(FreeRuns, Replay):
         for i in self._standing:
             plant, columns = self.effects[i].effect.plant, self._columns_of[i]
             driven = model.jnt_dofadr[model.actuator_trnid[columns, 0]]
-            planned = plant.force(self._values[i], context, self.effects[i].where, self._impedance)
+            planned = plant.force(self._values[i], there, self.effects[i].where, self._impedance)
             assert planned is not None
             force[:, driven] += planned[:, 0]
         pulled = force[:, robot]

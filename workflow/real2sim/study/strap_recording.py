@@ -10,7 +10,7 @@ import numpy as np
 
 from real2sim import signals
 from real2sim.effects.base import FAR, Scales
-from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, markers_of
+from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMass, markers_of
 from real2sim.geometry import AXES, interface_frame
 from real2sim.inference.cost import CostScales, TrialCost
 from real2sim.recording import missing_marker
@@ -31,7 +31,7 @@ from real2sim.recording.tables import (
 from real2sim.recording.trial import Trial, load_limits, load_trial
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
-from real2sim.system.plant import JointLimits, impedances, load_robot
+from real2sim.system.plant import JointLimits, impedances, load_robot, moment_about_yaw
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSkinSettings, Settings
@@ -166,7 +166,7 @@ def _context(
         signals.bridged(trial.pelvis_position),
         bridged_rotation(rotation),
         start,
-        float(twin.body_mass.sum()),
+        RobotMass(float(twin.body_mass.sum()), moment_about_yaw(twin, "interface")),
         trial.interface,
         spikes(trial.interface, rule),
         coordinates,

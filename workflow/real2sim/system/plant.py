@@ -32,6 +32,7 @@ ROBOT_JOINTS = ("base_x", "base_y", "base_yaw", "arm_lift", "arm_roll", "arm_pit
 STRAP_JOINTS = tuple(f"strap_{axis}" for axis in AXES)
 INTERFACE_SITES = ("interface_left", "interface_right")
 _SENSORS = (*INTERFACE_SITES, "pelvis")
+_YAW = ROBOT_JOINTS[2]
 
 # Inertia of the pelvis stand-in: 10^4 robots, so that a strap force of 1 kN moves it by 50 nm against the servo
 PELVIS_MASS = 1e6
@@ -143,6 +144,26 @@ def interface_pose_at(robot: mujoco.MjModel, joints: np.ndarray) -> tuple[np.nda
     mujoco.mj_kinematics(robot, data)
     rotation = data.body("interface").xmat.reshape(3, 3).copy()
     return rotation, data.body("interface").xpos + rotation @ interface_site_offset(robot)
+
+
+def moment_about_yaw(model: mujoco.MjModel, body: str = "") -> np.ndarray:
+    """Return mass times the horizontal place of its centre of all that turns with the base, (2,) [kg m].
+
+    From the axis of ``base_yaw``, in the model's own pose, in the heading of ``body`` or else of the world. Zeros
+    without such a joint.
+    """
+    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, _YAW)
+    if joint < 0:
+        return np.zeros(2)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    turning = model.jnt_bodyid[joint]
+    moment = model.body_subtreemass[turning] * (data.subtree_com[turning] - data.xanchor[joint])
+    frame = data.body(body).xmat.reshape(3, 3) if body else np.eye(3)
+    heading = np.arctan2(frame[1, 0], frame[0, 0])
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([c * moment[0] + s * moment[1], c * moment[1] - s * moment[0]])
 
 
 def impedances(robot_settings: Mapping[str, Any], controller: str) -> dict[str, dict[str, float]]:

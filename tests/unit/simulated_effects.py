@@ -10,7 +10,7 @@ from real2sim.effects.chains import Context, MarkerShapes, NeutralPose, RobotMas
 from real2sim.effects.replay import EffectReplay
 from real2sim.study.strap import strap_system
 from real2sim.system.description import System
-from real2sim.system.plant import RestPose, load_robot, moment_about_yaw
+from real2sim.system.plant import RestPose, load_robot, mass_on_base
 
 from tests.unit.test_coupling import CONFIG, PRIOR, REST, ROBOT, rotation_xyz, smooth_motion
 
@@ -70,7 +70,7 @@ def replay(
         position,
         rotation,
         10,
-        RobotMass(100.0, moment_about_yaw(load_robot(ROBOT).compile(), "interface")),
+        RobotMass(*mass_on_base(load_robot(ROBOT).compile(), "interface")),
         still,
         np.zeros((len(time), 2), bool),
         -offset + noise,

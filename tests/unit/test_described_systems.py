@@ -13,6 +13,7 @@ import real2sim as r2s
 from real2sim.configuration import validated
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.effects.base import Placed
+from real2sim.effects.families import variables
 from real2sim.effects.markers import drifting_marker
 from real2sim.errors import InputError
 from real2sim.system.described_plant import load_model
@@ -163,10 +164,15 @@ def test_the_machine_weighs_what_its_model_weighs(tmp_path):
     cuff.simulate(None, 0.0, 1, tmp_path, duration_s=3.2)
     settings = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
     train, quiet = (r2s.Recording.read(system, tmp_path / f"{t}.parquet") for t in ("train", "quiet"))
-    context = DescribedTrial(system, train, quiet, settings).evidence().context
+    evidence = DescribedTrial(system, train, quiet, settings).evidence()
     own = load_model(system).compile().body_mass.sum()
     assert own < 1e3
-    assert context.robot.mass == pytest.approx(own)
+    assert evidence.context.robot.mass == pytest.approx(own)
+    # variables of measured laws, where what is observed is no pair of markers
+    ones = np.ones(len(system.axes))
+    moved = variables(evidence.context, system, ones, ones, 10.0)
+    assert {"pelvis_tilt", "place_x"} <= set(moved)
+    assert all(np.isfinite(v.values).all() for v in moved.values())
 
 
 def test_quiet_recording_that_is_too_short_for_a_rest_pose_is_refused(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,9 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim.configuration import validated
 from real2sim.diagnosis.answer import _stages
+from real2sim.effects import replay as replay_module
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
+from real2sim.effects.chains import NeutralPose
 from real2sim.effects.friction import SmoothFriction
-from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame
+from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame, rotation_xyz
 from real2sim.recording.jumps import JumpRule
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import without_filled
@@ -136,6 +138,28 @@ def test_a_force_that_pulled_in_neutral_too_has_stretched_the_strap_there(name, 
     )
     moved = np.abs(expected - expected[:, :1]).max()
     assert np.abs(found - expected).max() < 0.03 * moved
+
+
+def test_a_slope_stretched_the_strap_by_where_the_robot_looked_in_neutral(monkeypatch):
+    """A robot that was turned by an angle on a slope stood as one that was not, on a slope that is turned back."""
+    effect, turned, slope = placed("tilt", "always"), 0.8, np.array([0.006, -0.004])
+    stretched = []
+    monkeypatch.setattr(
+        replay_module, "move_rest", lambda fields, axis, by: stretched.append((axis, float(by[0])))
+    )
+
+    def stretch(heading, values):
+        stretched.clear()
+        model = replay([effect], motion=np.zeros((60, 6)))
+        neutral = NeutralPose(rotation_xyz([0.0, 0.0, heading]), model._context.neutral.position)
+        model._context = replace(model._context, neutral=neutral)
+        model.run_effects(PRIOR[None], [searched(effect, *values)])
+        return np.array([by for _, by in sorted(stretched)])
+
+    back = rotation_xyz([0.0, 0.0, -turned])[:2, :2]
+    there, here = stretch(turned, slope), stretch(0.0, back @ slope)
+    np.testing.assert_allclose(there, here, atol=1e-12)
+    assert np.abs(there - stretch(0.0, slope)).max() > 1e-3
 
 
 def test_a_part_above_the_interface_turns_it_where_the_base_speeds_up():

@@ -15,12 +15,20 @@ from real2sim.effects import chains, lab, timing, tissue
 from real2sim.effects.base import NEUTRAL, Effect, InterfaceImpedance, Placed, Where
 from real2sim.effects.catalogue import EFFECTS, SHIPPED
 from real2sim.effects.controller import Admittance, Answer, HoldIntegral, Reaction
+from real2sim.effects.floor import tilt
 from real2sim.effects.memory import bouc_wen, eyring, maxwell
 from real2sim.effects.planned import PlannedForce
 from real2sim.geometry import AXES, interface_frame
 from real2sim.signals import lowpass
 from real2sim.study import strap_evidence
-from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS, RestPose, load_robot, robot_pose_for
+from real2sim.system.plant import (
+    ROBOT_JOINTS,
+    STRAP_JOINTS,
+    RestPose,
+    load_robot,
+    mass_on_base,
+    robot_pose_for,
+)
 from real2sim.system.replay import servo_command
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -125,6 +133,29 @@ def test_a_slope_pulls_every_body_as_gravity_does(heading):
     force = placed_whole("tilt").effect.plant.force(slope[None], turned, Where(STRAP, ()), IMPEDANCE)
     np.testing.assert_allclose(force[0, 0], -data.qfrc_bias[:3], atol=1e-9)
     assert abs(force[0, 0, 2]) > 0.1
+
+
+@pytest.mark.parametrize(("axis", "turned"), [("0 0 1", 0.0), ("0 0 -1", 0.0), ("0 0 1", 0.6)])
+def test_what_a_slope_turns_does_not_hang_on_how_the_base_is_modelled(axis, turned):
+    """A base that turns the other way round, and one whose interface looks elsewhere; a post that stands still."""
+    text = f"""<mujoco><option gravity="0.3 -0.2 0"/><worldbody>
+      <body pos="5 5 0"><geom size="0.1" mass="40"/></body>
+      <body pos="1 2 0"><joint name="base_x" type="slide" axis="1 0 0"/><joint name="base_y" type="slide" axis="0 1 0"/>
+        <joint name="base_yaw" axis="{axis}"/><geom size="0.1" mass="9" pos="0.1 0 0"/>
+        <body name="tool" pos="0.4 0.1 0.5" euler="0 0 {np.degrees(turned)}"><geom size="0.1" mass="2"/></body>
+      </body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass, moment = mass_on_base(model, "tool")
+    context = SimpleNamespace(
+        robot=chains.RobotMass(mass, moment),
+        interface_rotation=rotation_xyz([[0.0, 0.0, turned]]),
+        time_s=np.zeros(1),
+        step_time_s=np.zeros(1),
+    )
+    force = tilt(np.array([[0.3, -0.2]]) / 9.81, context, Where(STRAP, ()), IMPEDANCE)
+    np.testing.assert_allclose(force[0, 0], -data.qfrc_bias, atol=1e-9)
 
 
 def test_dry_friction_holds_without_creeping():

@@ -25,7 +25,7 @@ from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, pla
 from real2sim.system.description import BASE_JOINTS, FORCE, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
-from real2sim.system.plant import RestPose, compiled, moment_about_yaw
+from real2sim.system.plant import RestPose, compiled, mass_on_base
 from real2sim.system.replay import servo_command
 
 if TYPE_CHECKING:
@@ -623,17 +623,21 @@ class DescribedTrial:
         rotation = still if segment is None else segment.rotation
         position = np.zeros((n, 3)) if segment is None else segment.position
         shape = np.zeros((4, 3)) if segment is None else segment.shape
-        yaw = self._position.get(BASE_JOINTS[2])
         # without the segment, whose inertia stands in for a motion that nothing changes
         machine = load_model(self._system).compile()
+        interface, yaw = still, BASE_JOINTS[2]
+        if "base" in self._system.offers and yaw in self._position:
+            # the arm hardly turns the interface against the base, whose turn is known
+            turned = self._position[yaw] - machine.joint(yaw).qpos0
+            interface = rotation_xyz(np.outer(turned, [0, 0, 1]))
         return Context(
             measured.time_s,
             measured.time_s,
             rotation,
             position,
-            still if yaw is None else rotation_xyz(np.outer(yaw, [0, 0, 1])),
+            interface,
             self._start,
-            RobotMass(float(machine.body_mass.sum()), moment_about_yaw(machine)),
+            RobotMass(*mass_on_base(machine)),
             measured.observed,
             np.zeros(measured.observed.shape, bool),
             q,

@@ -147,9 +147,16 @@ def _large(values: np.ndarray) -> float:
     return max(float(np.percentile(np.abs(values), 95)), 1e-9)
 
 
+def _middle(context: Context) -> np.ndarray:
+    """Middle (n, 3) [m] of the interface's two markers, of a system without such a pair the place of the segment."""
+    if context.measured.ndim == 3:
+        return signals.bridged(context.measured.mean(axis=1))
+    return context.pelvis_position
+
+
 def _accelerations(context: Context, rate: float) -> np.ndarray:
     """Accelerations (n, 6) of the interface along and about the axes of the segment [m/s2, rad/s2]."""
-    middle = signals.bridged(context.measured.mean(axis=1))
+    middle = _middle(context)
     turned = Rotation.from_matrix(context.interface_rotation[0].T @ context.interface_rotation).as_rotvec()
     turned = turned @ context.interface_rotation[0].T
     twice = signals.derivative(signals.derivative(np.hstack([middle, turned]), rate), rate)
@@ -164,7 +171,7 @@ def _places(context: Context, rate: float) -> dict[str, np.ndarray]:
         return {}
     forward = r[:, :2, 0] / np.maximum(np.linalg.norm(r[:, :2, 0], axis=1, keepdims=True), 1e-9)
     speed = np.einsum("ni,ni->n", forward, signals.derivative(p[:, :2], rate))
-    middle = signals.bridged(context.measured.mean(axis=1)) if context.measured.ndim == 3 else p
+    middle = _middle(context)
     bar = context.interface_rotation
     return {
         "pelvis_tilt": np.arcsin(np.clip(-r[:, 2, 0], -1, 1)),

@@ -31,7 +31,7 @@ def tilt(values: np.ndarray, context: Context, where: Where, impedance: Interfac
 
 _SLOPING_FLOOR = (
     "Add to base_x and base_y a constant force, slope times 9.81 m/s2 times the robot's mass, and to base_yaw the"
-    " moment of that force at the centre of mass"
+    " moment of that force at the centre of mass, which turns with the robot"
 )
 
 EFFECTS = (

@@ -31,7 +31,7 @@ from real2sim.recording.tables import (
 from real2sim.recording.trial import Trial, load_limits, load_trial
 from real2sim.study.strap import strap_system
 from real2sim.study.strap_evidence import NoiseLevels, PlantSetup, Recorded, StrapEvidence
-from real2sim.system.plant import JointLimits, impedances, load_robot, moment_about_yaw
+from real2sim.system.plant import JointLimits, impedances, load_robot, mass_on_base
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestSkinSettings, Settings
@@ -166,7 +166,7 @@ def _context(
         signals.bridged(trial.pelvis_position),
         bridged_rotation(rotation),
         start,
-        RobotMass(float(twin.body_mass.sum()), moment_about_yaw(twin, "interface")),
+        RobotMass(*mass_on_base(twin, "interface")),
         trial.interface,
         spikes(trial.interface, rule),
         coordinates,

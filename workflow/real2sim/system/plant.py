@@ -32,7 +32,6 @@ ROBOT_JOINTS = ("base_x", "base_y", "base_yaw", "arm_lift", "arm_roll", "arm_pit
 STRAP_JOINTS = tuple(f"strap_{axis}" for axis in AXES)
 INTERFACE_SITES = ("interface_left", "interface_right")
 _SENSORS = (*INTERFACE_SITES, "pelvis")
-_YAW = ROBOT_JOINTS[2]
 
 # Inertia of the pelvis stand-in: 10^4 robots, so that a strap force of 1 kN moves it by 50 nm against the servo
 PELVIS_MASS = 1e6
@@ -146,24 +145,27 @@ def interface_pose_at(robot: mujoco.MjModel, joints: np.ndarray) -> tuple[np.nda
     return rotation, data.body("interface").xpos + rotation @ interface_site_offset(robot)
 
 
-def moment_about_yaw(model: mujoco.MjModel, body: str = "") -> np.ndarray:
-    """Return mass times the horizontal place of its centre of all that turns with the base, (2,) [kg m].
+def mass_on_base(model: mujoco.MjModel, body: str = "") -> tuple[float, np.ndarray]:
+    """Return the mass [kg] that the base moves, and the moment (2,) [kg m] of what turns with it.
 
-    From the axis of ``base_yaw``, in the model's own pose, in the heading of ``body`` or else of the world. Zeros
-    without such a joint.
+    The moment is mass times the horizontal place of its centre, from the axis of ``base_yaw``, in the model's own pose
+    and in the heading of ``body`` or else of the world. Where a positive angle turns clockwise, its sign is changed.
+    Without these joints, the mass is that of the whole model and the moment zero.
     """
-    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, _YAW)
-    if joint < 0:
-        return np.zeros(2)
+    x, yaw = (mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, ROBOT_JOINTS[i]) for i in (0, 2))
+    if min(x, yaw) < 0:
+        return float(model.body_mass.sum()), np.zeros(2)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    turning = model.jnt_bodyid[joint]
-    moment = model.body_subtreemass[turning] * (data.subtree_com[turning] - data.xanchor[joint])
+    turning = model.jnt_bodyid[yaw]
+    moment = model.body_subtreemass[turning] * (data.subtree_com[turning] - data.xanchor[yaw])
+    moment *= np.sign(data.xaxis[yaw, 2])
     frame = data.body(body).xmat.reshape(3, 3) if body else np.eye(3)
     heading = np.arctan2(frame[1, 0], frame[0, 0])
     c, s = np.cos(heading), np.sin(heading)
-    return np.array([c * moment[0] + s * moment[1], c * moment[1] - s * moment[0]])
+    turned = np.array([c * moment[0] + s * moment[1], c * moment[1] - s * moment[0]])
+    return float(model.body_subtreemass[model.jnt_bodyid[x]]), turned
 
 
 def impedances(robot_settings: Mapping[str, Any], controller: str) -> dict[str, dict[str, float]]:

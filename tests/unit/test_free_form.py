@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from real2sim.configuration import validated
 from real2sim.diagnosis.described_trial import DescribedTrial
-from real2sim.diagnosis.free_form import Library, _Trial, measure, screen, slopes
+from real2sim.diagnosis.free_form import (
+    Library,
+    _alone,
+    _best_screened,
+    _Trial,
+    measure,
+    screen,
+    slopes,
+)
 from real2sim.diagnosis.law import describe
 from real2sim.diagnosis.law_equations import Products
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
@@ -202,6 +210,19 @@ def test_a_cubic_spring_is_measured_without_its_name(stiff):
     cubic = next(row for row in about["equation"] if row["term"].endswith("^3"))
     assert cubic["value"] == pytest.approx(-2e9, rel=0.1)
     assert cubic["unit"] == "N per m^3"
+
+
+def test_a_tangent_is_taken_where_a_law_promises_most(stiff):
+    """Beside a named spring that bears most of the load, the interface's own stiffness is a fraction of itself."""
+    pair, search, plain = stiff
+    library, longest = Library(pair, FREE["band_share"]), SEARCH["longest_step"]
+    softer = plain.base.copy()
+    softer[pair.system.stiffness_of_axis[0]] -= np.log(20)
+    _, screened, base = _best_screened(pair, library, (softer, plain.base), search, longest)
+    np.testing.assert_array_equal(base.z, plain.base)
+    gain = max(s.gain for s in screened if s.family.kind == "elastic")
+    left = _alone(slopes(pair, library, base), library, base, longest) - 2 * gain
+    assert left < 0.2 * sum(plain.chi2)
 
 
 def test_a_law_is_known_the_less_the_more_it_leaves(stiff):

@@ -9,8 +9,8 @@ import pytest
 from real2sim.diagnosis import misfit as misfit_module
 from real2sim.diagnosis.decide import Candidate, decide
 from real2sim.diagnosis.free_form import Law
-from real2sim.diagnosis.kin import gives_way, is_kin, mended_by
-from real2sim.diagnosis.misfit import Misfit, _reach, told_apart
+from real2sim.diagnosis.kin import gives_way, is_kin, mended_by, stands_for
+from real2sim.diagnosis.misfit import Misfit, _reach, _replaces, misfit_of, told_apart
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
@@ -56,6 +56,65 @@ def _family(kind: str, axis: str) -> Family:
 )
 def test_a_law_is_kin_of_a_name_of_its_kind_and_axis(name, axis, kind, kin):
     assert is_kin(_law(_family(kind, "ty")), _named(name, axis)) is kin
+
+
+@pytest.mark.parametrize(
+    ("members", "axis", "replaced"),
+    [
+        ((("coulomb", "ty"), ("quadratic_damping", "ty")), "ty", {"coulomb", "quadratic_damping"}),
+        ((("coulomb", "ty"), ("quadratic_damping", "ty")), "tx", set()),
+        ((("coulomb", "ty"), ("quadratic_damping", "tx")), "ty", set()),  # no axis in common
+        ((("coulomb", "ty"), ("coulomb", "tx")), "ty", set()),
+        ((("coulomb", "ty"), ("soft_tissue", "")), "ty", set()),  # an effect without an axis
+        ((("coulomb", "ty"), ("slack", "ty"), ("lugre", "tx")), "ty", {"coulomb", "slack"}),
+    ],
+)
+def test_a_law_stands_for_names_on_one_axis(members, axis, replaced):
+    named = Hypothesis(tuple(_named(*m).effects[0] for m in members), np.zeros(30), (1.0, 1.0))
+    assert stands_for(_law(_family("dissipative", axis)), named) == replaced
+
+
+@pytest.mark.parametrize(
+    ("alone", "replaces"),
+    [
+        ({}, True),
+        ({"coulomb": 1_300.0, "slack": 1_500.0}, True),
+        ({"coulomb": 1_050.0}, False),  # one of the names alone does nearly as well: another equation of it
+        ({"tilt": 1_000.0}, True),  # of none of the names
+    ],
+)
+def test_a_law_replaces_several_names_where_it_explains_more_than_each_alone(alone, replaces):
+    law = Candidate(("dissipative",), (500.0, 500.0), unlisted=True)
+    sets = [Candidate((name,), (left / 2, left / 2)) for name, left in alone.items()]
+    several = frozenset({"coulomb", "slack"})
+    assert _replaces(law, sets, several, CONFIG["diagnosis"]) is replaces
+    assert not _replaces(law, sets, frozenset(), CONFIG["diagnosis"])
+
+
+@pytest.mark.parametrize(
+    ("names", "noise", "measured", "marked"),
+    [
+        (("coulomb",), True, False, False),
+        (("coulomb",), False, True, True),
+        # one law may do what two names do, and that they leave noise alone says nothing against it
+        (("coulomb", "quadratic_damping"), True, True, False),
+        (("coulomb", "outliers"), True, False, False),
+        (("coulomb", "soft_tissue"), True, False, False),
+    ],
+)
+def test_laws_are_measured_beside_what_leaves_more_than_noise_or_has_several_laws(
+    monkeypatch, names, noise, measured, marked
+):
+    members = [_named(n, "" if n in ("outliers", "soft_tissue") else "ty").effects[0] for n in names]
+    named = Hypothesis(tuple(members), np.zeros(20), (1.0, 1.0))
+    search = SimpleNamespace(is_noise=lambda h: noise, beyond=lambda h: 0.0, samples=(10, 10))
+    left = Misfit(named.key, (0.0, 0.0), "markers", 0.0, marked=False)
+    monkeypatch.setattr(misfit_module, "Search", lambda *rest: search)
+    monkeypatch.setattr(misfit_module, "_left", lambda *rest: left)
+    monkeypatch.setattr(misfit_module, "measure", lambda *rest: "laws")
+    found = SimpleNamespace(pair=None, attribution=SimpleNamespace(plain=None))
+    misfit = misfit_of(found, named, CONFIG["diagnosis"], lambda text: None)
+    assert (misfit.measured == "laws", misfit.marked) == (measured, marked)
 
 
 def test_displacements_are_kin_of_what_they_are_a_case_of():

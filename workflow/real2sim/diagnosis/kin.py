@@ -26,6 +26,29 @@ def is_kin_of(law: Law, named: Hypothesis, library: Library, pair: Pair, main_sh
     return is_kin(law, named, said_of(law, library, pair, main_share))
 
 
+def on_one_axis(named: Hypothesis) -> frozenset[str]:
+    """Return the names of a set's effects that share an axis with an effect of another name."""
+    return frozenset(
+        one.effect.name
+        for one in named.effects
+        for other in named.effects
+        if one.effect.name != other.effect.name and set(one.axes) & set(other.axes)
+    )
+
+
+def stands_for(law: Law, named: Hypothesis) -> frozenset[str]:
+    """Return the names of a set's effects in whose place a law could be: they share an axis with it and each other.
+
+    None where that is one name: a law of one effect's kind and place is that effect with another equation.
+    """
+    several = on_one_axis(named)
+    if not several:
+        return several
+    axes = set(named_family(law.families[0])["axes"])
+    held = frozenset(p.effect.name for p in named.effects if p.effect.name in several and axes & set(p.axes))
+    return held if len(held) > 1 else frozenset()
+
+
 def mended_by(law: Law, named: Hypothesis, told: Mapping[str, Any] | None = None) -> frozenset[str]:
     """Return the names of a set's effects that a law on top of the set may only give another equation.
 

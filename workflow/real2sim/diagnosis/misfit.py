@@ -5,20 +5,25 @@ standard deviations: its form is wrong, or it only imitates the cause. Where a n
 which only place and variables are said (`free_form`) are measured without it. One that acts elsewhere, or depends on
 something else, competes with the names, and its probability counts for `unknown`. One of the kind and place of a named
 effect says that the name is right and its equation is not; then a family is fitted on top and tells what is left.
+
+Several names on one axis may be what the catalogue makes of one law that it does not hold: dry friction with a
+quadratic damping and a spring of one side is a damping that depends on the place. So laws are measured beside such a
+set also where that leaves nothing but noise, and one that could be in the place of several of its effects competes with
+it. Each name beyond the first has its price, and evidence tells which it is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from real2sim.diagnosis.attribute import Attribution
-from real2sim.diagnosis.decide import Candidate, Decision, decide
+from real2sim.diagnosis.decide import Candidate, Decision, decide, further_price
 from real2sim.diagnosis.free_form import Law, Measured, measure
-from real2sim.diagnosis.kin import gives_way, is_kin_of
+from real2sim.diagnosis.kin import gives_way, is_kin_of, on_one_axis, stands_for
 from real2sim.diagnosis.law import named_family, size
 from real2sim.diagnosis.layers import Layers
 from real2sim.diagnosis.refit import Hypothesis
@@ -44,7 +49,7 @@ class Misfit:
 
     ``sd``: chi-squared of the fitted and the held-out trial beyond its expectation, in SD of what noise leaves;
     ``sensor``: where most of it is, both trials together; ``share``: of what the plain plant leaves beyond noise, on
-    both trials. ``measured`` are the laws without a name, None where nothing is left that they could explain; ``law``
+    both trials. ``measured`` are the laws without a name, None where none was asked for (`misfit_of`); ``law``
     is the family that explains most beside the set; ``rival`` is the measured law that competes with the names, if one
     does.
     """
@@ -80,20 +85,21 @@ class Misfit:
 def misfit_of(
     found: Found, named: Hypothesis, options: DiagnosisSettings, progress: Callable[[str], None]
 ) -> Misfit:
-    """Return what a named set leaves; laws are measured where that is more than noise.
+    """Return what a named set leaves, with measured laws where that is more than noise or names share an axis.
 
     ``options`` is the slice ``diagnosis`` of the configuration.
     """
     search, plain = Search(found.pair, options["search"]), found.attribution.plain
     left = _left(search, named, plain)
-    sd = left.sd
-    if search.is_noise(named):
+    sd, noise = left.sd, search.is_noise(named)
+    if noise and not on_one_axis(named):
         return left
-    progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: is its form right?")
+    asked = "would one law do as well?" if noise else "is its form right?"
+    progress(f"{named.key} leaves {sd[0]:.0f} and {sd[1]:.0f} SD of noise: {asked}")
     free, searched = options["free_form"], options["search"]
     reach = _reach(search.beyond(named), left.share, sum(search.samples), searched)
     measured = measure(found.pair, plain, named.base, search, free, searched, progress, reach)
-    return replace(left, marked=True, measured=measured)
+    return replace(left, marked=not noise, measured=measured)
 
 
 def _reach(left: float, share: float, samples: int, settings: DiagnosisSearchSettings) -> float:
@@ -112,15 +118,16 @@ def told_apart(
 ) -> tuple[Decision, Misfit]:
     """Return the decision with a measured law among the candidates, and the misfit with that law.
 
-    A law of the kind and place of a named effect does not compete: it is that effect with another equation. Nor does a
-    free history on the effect's axis that gains hardly more. The best of the others does, and what a law of the name's
-    kind explains too says nothing against the name.
+    A law of the kind and place of a named effect does not compete: it is that effect with another equation. It does
+    where it could be in the place of several effects (`_replaces`). A free history on an effect's axis that gains
+    hardly more does not compete either. The best of the others does, and what a law of the name's kind explains too
+    says nothing against the name.
     """
     if decision.chosen is None or misfit.measured is None:
         return decision, misfit
     plain, sets = candidates_of(found, options)
     named = sets[decision.chosen]
-    rival, own_kind = _best_rival(misfit.measured, found, decision, (plain, named), options)
+    rival, own_kind = _best_rival(misfit.measured, found, decision, (plain, named, *sets), options)
     if rival is None:
         return decision, misfit
     law, told = rival
@@ -135,23 +142,38 @@ def _best_rival(
     measured: Measured,
     found: Found,
     decision: Decision,
-    compared: tuple[Candidate, Candidate],
+    compared: tuple[Candidate, ...],
     options: DiagnosisSettings,
 ) -> tuple[tuple[Law, Candidate] | None, float]:
     """Return the best law that speaks against the named set, and the least deviance of a law of the set's own kind.
 
-    ``compared`` are the plain plant and the named set. A law that gives way to the name is neither.
+    ``compared`` are the plain plant, the named set and all sets. A law that gives way to the name is neither.
     """
     named, main_share = chosen(found.attribution, decision), options["free_form"]["main_share"]
+    plain, of_name, *sets = compared
     rivals, own_kind = [], float("inf")
     for law in measured.laws:
         told = found.candidate(law.hypothesis, options, [f.key for f in law.families])
-        gains = compared[0].deviance - compared[1].deviance, compared[0].deviance - told.deviance
-        if is_kin_of(law, named, measured.library, found.pair, main_share):
+        gains = plain.deviance - of_name.deviance, plain.deviance - told.deviance
+        kin = is_kin_of(law, named, measured.library, found.pair, main_share)
+        if kin and not _replaces(told, sets, stands_for(law, named), options):
             own_kind = min(own_kind, told.deviance)
         elif not gives_way(law, named, gains, options["search"]["grow_share"]):
             rivals.append((law, told))
     return min(rivals, key=lambda pair: pair[1].deviance, default=None), own_kind
+
+
+def _replaces(
+    law: Candidate, sets: Sequence[Candidate], several: frozenset[str], options: DiagnosisSettings
+) -> bool:
+    """Return whether a law could be in the place of ``several`` names, as `kin.stands_for`.
+
+    It has to explain more than each of them alone does, by the price of a further effect. One that does not is that
+    effect with another equation.
+    """
+    alone = [x.deviance for x in sets if set(x.names) <= several and len(x.names) == 1]
+    price = further_price(options["calibration"])
+    return bool(several) and law.deviance + price < min(alone, default=float("inf"))
 
 
 def with_law(
@@ -164,7 +186,10 @@ def with_law(
     named, index = chosen(found.attribution, decision), decision.chosen
     if misfit is None or misfit.key != named.key:
         search, plain = Search(found.pair, options["search"]), found.attribution.plain
-        misfit = replace(_left(search, named, plain), marked=True, measured=layers.measured)
+        noise = search.is_noise(named)
+        misfit = replace(_left(search, named, plain), marked=not noise, measured=layers.measured)
+    if not misfit.marked:
+        return misfit
     if index in layers.beside:
         return replace(misfit, law=layers.beside[index])
     share = options["search"]["grow_share"]

@@ -215,6 +215,13 @@ class Search:
         """Of each sensor whether it is on its floor."""
         return self.pair.on_floor(self._settings["pair_excess_sigma"])
 
+    def is_expected(self, left: float) -> bool:
+        """Return whether chi-squared of both trials is no more than noise leaves: of a sensor on its floor, less."""
+        noise = pooled([self.pair.train.noise_by_sensor, self.pair.held_out.noise_by_sensor])
+        each = zip(noise, pooled(self.samples_by_sensor), self.on_floor, strict=True)
+        count = sum(quiet if floor else n for quiet, n, floor in each)
+        return bool(left < count + self._settings["pair_excess_sigma"] * np.sqrt(2 * max(count, 1.0)))
+
     def above(self, hypothesis: Hypothesis) -> float:
         """Return chi-squared of both trials less its expectation; a sensor on its floor is granted that."""
         return above(pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor), self.on_floor)

@@ -1,9 +1,10 @@
-"""Whether intervals of an effect's parameters hold the sealed truth: what is compared with what."""
+"""Scores: which intervals of an effect's parameters hold the sealed truth, and what no case says."""
 
 from __future__ import annotations
 
 import pytest
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS
+from real2sim.verification.claims import claim, figure
 from real2sim.verification.score_sizes import SAME, held_sizes
 from real2sim.verification.suite.forms import FORMS
 
@@ -62,3 +63,13 @@ def test_what_was_not_named_or_made_otherwise_is_not_counted():
 def test_every_listed_effect_is_one_that_suites_make_and_the_catalogue_names():
     assert set(SAME) <= set(FORMS)
     assert set(SAME) <= set(EFFECT_NAMES)
+
+
+def test_what_no_case_was_asked_is_not_met():
+    """An average over nothing may be computed as zero, which would meet a target of at most that."""
+    rows = [
+        claim("share", [], "<= 5 %", lambda v: v <= 0.05),
+        figure("error", 0.0, 0, "<= 0.04", lambda v: v <= 0.04),
+    ]
+    assert [(row["value"], row["met"]) for row in rows] == [(None, False), (None, False)]
+    assert figure("error", 0.0, 3, "<= 0.04", lambda v: v <= 0.04)["met"]

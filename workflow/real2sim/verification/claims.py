@@ -32,7 +32,11 @@ def claim(name: str, hits: Sequence[bool], target: str, met: Callable[[float], b
 
 
 def figure(name: str, value: float | None, n: int, target: str, met: Callable[[float], bool] | None) -> Row:
-    """Return one line of the target table: a number without an interval, which misses its target where it is None."""
+    """Return one line of the target table: a number without an interval, which misses its target where it is None.
+
+    So does one of no case at all (``n`` is 0), whatever its value.
+    """
+    value = value if n else None
     reached = None if met is None else value is not None and bool(met(value))
     return {"claim": name, "value": value, "n": n, "wilson95": None, "target": target, "met": reached}
 

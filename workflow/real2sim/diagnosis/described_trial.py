@@ -628,7 +628,7 @@ class DescribedTrial:
         interface, yaw = still, BASE_JOINTS[2]
         if "base" in self._system.offers and yaw in self._position:
             # the arm hardly turns the interface against the base, whose turn is known
-            turned = self._position[yaw] - machine.joint(yaw).qpos0
+            turned = np.sign(machine.joint(yaw).axis[2]) * (self._position[yaw] - machine.joint(yaw).qpos0)
             interface = rotation_xyz(np.outer(turned, [0, 0, 1]))
         return Context(
             measured.time_s,

@@ -127,7 +127,7 @@ def told_apart(
         return decision, misfit
     plain, sets = candidates_of(found, options)
     named = sets[decision.chosen]
-    rival, own_kind = _best_rival(misfit.measured, found, decision, (plain, named, *sets), options)
+    rival, own_kind = _best_rival(misfit.measured, found, decision, plain, sets, options)
     if rival is None:
         return decision, misfit
     law, told = rival
@@ -142,19 +142,21 @@ def _best_rival(
     measured: Measured,
     found: Found,
     decision: Decision,
-    compared: tuple[Candidate, ...],
+    plain: Candidate,
+    sets: Sequence[Candidate],
     options: DiagnosisSettings,
 ) -> tuple[tuple[Law, Candidate] | None, float]:
     """Return the best law that speaks against the named set, and the least deviance of a law of the set's own kind.
 
-    ``compared`` are the plain plant, the named set and all sets. A law that gives way to the name is neither.
+    ``plain`` and ``sets`` are as of `candidates_of`. A law that gives way to the name is neither.
     """
     named, main_share = chosen(found.attribution, decision), options["free_form"]["main_share"]
-    plain, of_name, *sets = compared
+    assert decision.chosen is not None, "a set is named"
+    by_name = plain.deviance - sets[decision.chosen].deviance
     rivals, own_kind = [], float("inf")
     for law in measured.laws:
         told = found.candidate(law.hypothesis, options, [f.key for f in law.families])
-        gains = plain.deviance - of_name.deviance, plain.deviance - told.deviance
+        gains = by_name, plain.deviance - told.deviance
         kin = is_kin_of(law, named, measured.library, found.pair, main_share)
         if kin and not _replaces(told, sets, stands_for(law, named), options):
             own_kind = min(own_kind, told.deviance)

@@ -214,7 +214,9 @@ def test_credit_does_not_depend_on_which_smaller_sets_were_tried(monkeypatch, ax
 
     found = [fit_of("coulomb", "slack"), fit_of("coulomb")]
     attribution = Attribution(Hypothesis((), np.zeros(12), (9e4, 9e4)), found, [], (2880, 2880), None)
-    pair = SimpleNamespace(samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,))
+    pair = SimpleNamespace(
+        samples_by_sensor=((2880,), (2880,)), on_floor=lambda sd: (False,), train=SimpleNamespace(threads=1)
+    )
 
     def refit(self, effects, start, **more):
         return fit_of(*dict.fromkeys(placed.effect.name for placed in effects))

@@ -717,6 +717,8 @@ def test_numbers_of_an_effect_and_its_values_are_inverse():
 class _Listed(Search):
     """A search that notes what it fits and screens."""
 
+    threads = 1
+
     def __init__(self):
         self.fitted, self.screened = [], []
 
@@ -757,6 +759,43 @@ def test_neighbours_of_a_complete_set_lack_one_effect_or_hold_another_in_its_pla
     assert at == {(1,)}
     assert [h.key for h in found[:3]] == keys
     assert len(found) == 3 + 2 * CONFIG["diagnosis"]["search"]["swap_refits"]
+
+
+def test_beside_a_set_that_cannot_be_simulated_places_begin_at_their_own_starts():
+    """A tangent at what cannot be simulated is not a number, and neither was the start of a refit."""
+
+    class Borne(_Listed):
+        def fresh(self, effects, base):
+            borne = effects[-1].effect.name == "coulomb"
+            return np.append(base, 7.0), 50.0 if borne else FAILED
+
+    by_key = {p.key: p for p in (Placed(e, w, SCALES) for e in EFFECTS for w in e.places(STRAP))}
+    base = Hypothesis((by_key["tilt"],), np.zeros(14), (FAILED, FAILED))
+    places = [by_key["preload ty"], by_key["coulomb ty"], by_key["coulomb tx"]]
+    search = Borne()
+    found = search.refits_beside(base, places, 5)
+    assert [h.key for h in found] == ["tilt + coulomb ty", "tilt + coulomb tx"]
+    assert not search.screened
+    assert len(search.refits_beside(base, places, 1)) == 1
+    search.refits_beside(replace(base, chi2=(9.0, 9.0)), places, 5)
+    assert len(search.screened) == 1
+
+
+def test_a_tangent_that_is_not_a_number_promises_nothing():
+    effect = next(e for e in EFFECTS if e.name == "preload")
+    placed = Placed(effect, effect.places(STRAP)[0], SCALES)
+    rows = SimpleNamespace(
+        lower=np.full(13, -9.0),
+        upper=np.full(13, 9.0),
+        evaluations=0,
+        many=lambda z: np.ones((len(z), 3)),
+        jacobian=lambda z, r, own: np.full((3, 1), np.nan),
+    )
+    search = _Listed()
+    search._settings, search._counting = CONFIG["diagnosis"]["search"], Lock()
+    search.evaluations, search._residuals = 0, lambda effects: rows
+    here = Tangent(np.zeros(12), np.full(3, np.nan), np.full((3, 12), np.nan))
+    assert search._screen_one((placed,), here) is None
 
 
 def test_a_sensor_that_was_not_recorded_is_not_the_loudest():

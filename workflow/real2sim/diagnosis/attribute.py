@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -198,8 +199,8 @@ def attribute(
     quiet = calibration is not None and is_out_of_reach(search.above(plain), sum(count), least, calibration)
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     if hypotheses:
-        hypotheses = _other_forms(search, hypotheses, singles, plain)
         if not quiet:
+            hypotheses = _other_forms(search, hypotheses, singles, plain)
             hypotheses = _other_laws(search, hypotheses, everything, settings)
             hypotheses = _redrawn(search, hypotheses, everything, settings)
         hypotheses = _with_best_converged(search, plain, hypotheses, settings)
@@ -274,8 +275,7 @@ def _neighbours(
             for p in places
             if p.key not in taken and _alike(effects[member], p) and (not axes or _rivals(effects[member], p))
         ]
-        tried = search.screen(smaller, rivals)[: settings["swap_refits"]]
-        out += [search.fit_screened(option) for option in tried]
+        out += search.refits_beside(smaller, rivals, settings["swap_refits"])
     return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
 
 
@@ -331,7 +331,7 @@ def _without_spikes(
     # what was added for the sake of the jumps is not needed beside them: the best set of every size is tried
     sized = _first_of_each(sorted(kept, key=lambda h: sum(h.chi2)), lambda h: str(len(h.effects)))
     bases = [*(h for h in sized if len(h.effects) <= len(best.effects)), plain]
-    more = [search.fit((*h.effects, *outliers), h.z) for h in bases]
+    more = in_threads(search.threads, lambda h: search.fit((*h.effects, *outliers), h.z), bases)
     # what a set gains by being fitted on is not what the jumps explain: it is fitted on without them too
     first = min(more, key=lambda h: sum(h.chi2))
     if len(first.effects) > len(outliers):
@@ -389,12 +389,12 @@ def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
     best = min(found, key=lambda h: sum(h.chi2))
     if not search.is_noise(best):
         return found
-    return [
-        search.refit_fresh(h.effects, best.base, h)
-        if h is not best and _rivals(best.effects[0], h.effects[0])
-        else h
-        for h in found
-    ]
+
+    def again(h: Hypothesis) -> Hypothesis:
+        rival = h is not best and _rivals(best.effects[0], h.effects[0])
+        return search.refit_fresh(h.effects, best.base, h) if rival else h
+
+    return in_threads(search.threads, again, found)
 
 
 def _other_forms(
@@ -415,7 +415,8 @@ def _other_forms(
         and not s.effects[0].where.axes
         and _alike(best.effects[0], s.effects[0])
     ]
-    return sorted([*found, *(_single(search, s, plain) for s in rest)], key=lambda h: sum(h.chi2))
+    more = in_threads(search.threads, lambda s: _single(search, s, plain), rest)
+    return sorted([*found, *more], key=lambda h: sum(h.chi2))
 
 
 def _other_laws(
@@ -432,9 +433,10 @@ def _other_laws(
     known = {_keys(h.effects) for h in found}
     rivals = [p for p in places if _rivals(best.effects[0], p) and _in_place(best.effects[0], p)]
     near = None if search.is_noise(best) else _named(best, 0)
-    starts = [((p,), *search.fresh((p,), best.base, near)) for p in rivals if _keys((p,)) not in known]
+    laws = [p for p in rivals if _keys((p,)) not in known]
+    starts = in_threads(search.threads, lambda p: ((p,), *search.fresh((p,), best.base, near)), laws)
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
-    tried = [search.fit(effects, z) for effects, z, _ in starts]
+    tried = in_threads(search.threads, lambda start: search.fit(start[0], start[1]), starts)
     return sorted([*found, *tried], key=lambda h: sum(h.chi2))
 
 
@@ -455,11 +457,12 @@ def _redrawn(
         and _rivals(best.effects[0], p)
         and _in_place(best.effects[0], p)
     ]
-    out = list(found)
+    from_where: list[tuple[Placed, np.ndarray]] = []
     for law in laws:
         starts, _ = search.drawn((law,), best.base, _named(best, 0), settings["redraws"])
-        out += [search.fit((law,), z) for z in starts[: settings["redraw_refits"]]]
-    return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
+        from_where += [(law, z) for z in starts[: settings["redraw_refits"]]]
+    tried = in_threads(search.threads, lambda one: search.fit((one[0],), one[1]), from_where)
+    return sorted(_best_of_each([*found, *tried]), key=lambda h: sum(h.chi2))
 
 
 def _has_many_constants(law: Placed, many: int) -> bool:
@@ -605,13 +608,14 @@ def _swapped(
         base = np.concatenate([best.base, *(parts[i] for i in kept)])
         rivals = [(*others, rival) for rival in _without(places, best) if _rivals(member, rival)]
         rivals = [effects for effects in rivals if not conflict(effects)]
-        starts = [search.fresh(effects, base) for effects in rivals]
+        starts = in_threads(search.threads, partial(search.fresh, base=base), rivals)
         for i, effects in enumerate(rivals):
             if _has_many_constants(effects[-1], settings["many_constants"]) and settings["redraws"]:
                 drawn, costs = search.drawn(effects, base, near, settings["redraws"])
                 starts[i] = min(starts[i], (drawn[0], float(costs[0])), key=lambda start: start[1])
         order = sorted(range(len(rivals)), key=lambda i: starts[i][1])[: settings["swap_refits"]]
-        tried = [search.fit(rivals[i], starts[i][0]) for i in order]
+        chosen = [(rivals[i], starts[i][0]) for i in order]
+        tried = in_threads(search.threads, lambda one: search.fit(*one), chosen)
         out += tried
         best = min([best, *tried], key=lambda h: sum(h.chi2))
     return out
@@ -640,7 +644,7 @@ def _swapped_together(
         starts.append(_one_by_one(search, best, rivals))
     # friction that never slips has no slope to be started on: every effect is refitted, from its best form
     starts = _first_of_each(sorted(starts, key=lambda start: start[2]), lambda start: start[0][0].effect.name)
-    return [search.fit(effects, z) for effects, z, _ in starts]
+    return in_threads(search.threads, lambda start: search.fit(start[0], start[1]), starts)
 
 
 def _one_by_one(
@@ -699,7 +703,8 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     while len(best.effects) > 1:
-        smaller = [search.fit(*_without_member(best, member)) for member in range(len(best.effects))]
+        parts = [_without_member(best, member) for member in range(len(best.effects))]
+        smaller = in_threads(search.threads, lambda part: search.fit(*part), parts)
         out += smaller
         best = min(smaller, key=lambda h: sum(h.chi2))
     return out
@@ -725,7 +730,7 @@ def _plainer(
             and _same_place(placed, p)
         ]
         smaller = search.fit(*_without_member(best, member)) if len(best.effects) > 1 else plain
-        out += [search.fit_screened(screened) for screened in search.screen(smaller, plainer)]
+        out += search.refits_beside(smaller, plainer, len(plainer))
     return out
 
 
@@ -739,13 +744,13 @@ def missing_parts(
     if len(hypothesis.names) < 2:
         return []
     search, fitted = Search(pair, settings), {_keys(h.effects) for h in known}
-    out = []
+    parts = []
     for name in hypothesis.names:
         kept = [i for i, placed in enumerate(hypothesis.effects) if placed.effect.name != name]
         effects, z = _with_members(hypothesis, kept)
         if _keys(effects) not in fitted:
-            out.append(search.fit(effects, z))
-    return out
+            parts.append((effects, z))
+    return in_threads(search.threads, lambda part: search.fit(*part), parts)
 
 
 def finished(pair: Pair, hypothesis: Hypothesis, settings: DiagnosisSearchSettings) -> Hypothesis:
@@ -781,7 +786,7 @@ def _grow(
             break
         places = {p.key: p for p in (*promising, *_elsewhere(best, everything))}
         options = search.screen(best, _without(list(places.values()), best))[: settings["pair_refits"]]
-        more = [search.fit_screened(option) for option in options]
+        more = in_threads(search.threads, search.fit_screened, options)
         out += more
         grown = min([best, *more], key=lambda h: sum(h.chi2))
         if _earned(search, best, grown) < settings["grow_share"]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
@@ -686,7 +687,7 @@ class _Trial:
         What was found first may have stood for what came later.
         """
         while len(law.families) > 1:
-            rest = [self._without(law, i) for i in range(len(law.families))]
+            rest = in_threads(self.search.threads, partial(self._without, law), range(len(law.families)))
             lost = [law.gain - other.gain for other in rest]
             least = int(np.argmin(lost))
             if lost[least] >= price:
@@ -741,7 +742,8 @@ class Measured:
         further = screen(known, library, named, trial.longest)
         alone = Law((), named, ln_evidence(trial.pair, named, trial.longest) - trial.origin)
         of_library = replace(trial, library=library)
-        tried = [of_library.refitted((), s, named, known) for s in _diverse(further, options["most"])]
+        chosen = _diverse(further, options["most"])
+        tried = in_threads(trial.search.threads, lambda s: of_library.refitted((), s, named, known), chosen)
         price = np.log(len(further)) if further else 0.0
         kept = [
             law
@@ -908,7 +910,8 @@ def _grown(
             for s in _diverse(further, options["most"])
         ]
         of_library = replace(trial, library=library)
-        tried = [of_library.refitted(best.families, s, best.hypothesis, known) for s in chosen]
+        refitted = partial(of_library.refitted, best.families, base=best.hypothesis, known=known)
+        tried = in_threads(trial.search.threads, refitted, chosen)
         tried = [
             law
             for law in tried

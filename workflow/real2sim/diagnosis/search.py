@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -401,6 +402,19 @@ class Search:
         found = in_threads(self.threads, lambda effects: self._screen_one(effects, here), sets)
         return sorted((one for one in found if one is not None), key=lambda s: s.predicted)
 
+    def refits_beside(self, base: Hypothesis, places: Sequence[Placed], most: int) -> list[Hypothesis]:
+        """Refits of the ``most`` places that promise most beside a fitted hypothesis.
+
+        A base that cannot be simulated has no tangent: there the places begin at the best of their own starts.
+        """
+        if base.chi2[0] < FAILED:
+            return in_threads(self.threads, self.fit_screened, self.screen(base, places)[:most])
+        sets = [effects for effects in ((*base.effects, p) for p in places) if not conflict(effects)]
+        starts = in_threads(self.threads, partial(self.fresh, base=base.z), sets)
+        order = sorted(range(len(sets)), key=lambda i: starts[i][1])[:most]
+        borne = [(sets[i], starts[i][0]) for i in order if starts[i][1] < FAILED]
+        return in_threads(self.threads, lambda one: self.fit(*one), borne)
+
     def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
         """Predicted cost of the last effect beside the others, on the tangent at the best of its starts."""
         placed = effects[-1]
@@ -424,7 +438,8 @@ class Search:
                 columns = residuals.jacobian(z[i], at[i], own) if slopes is None else slopes[i]
                 tangent = Beside(z[i], at[i], columns, here.jacobian)
                 step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
-                found.append(Screened(effects, cost, tangent.z + step, tangent))
+                if np.isfinite(cost):
+                    found.append(Screened(effects, cost, tangent.z + step, tangent))
             # a tangent that predicts more than the fit without the effect leaves was taken too far off
             if min((s.predicted for s in found), default=np.inf) <= nothing:
                 break

@@ -20,6 +20,7 @@ from real2sim.diagnosis.search import Pair
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.least_squares import bounded_step
+from real2sim.parallel import in_threads
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -41,14 +42,11 @@ def could_have_shown(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) 
     """
     wanted = options["report"]["visible"]
     trials = _Trials(pair, plain, options)
-    out = []
     first = {effect.name: effect for effect in reversed(EFFECTS)}
-    for effect in (first[name] for name in wanted if name in first):
-        for where in effect.places(pair.system):
-            placed = Placed(effect, where, pair.train.scales)
-            for index, sizes in _ladders(placed):
-                out.append(_entry(placed, index, sizes, trials, options))
-    return out
+    effects = [first[name] for name in wanted if name in first]
+    places = [Placed(e, where, pair.train.scales) for e in effects for where in e.places(pair.system)]
+    ladders = [(placed, *ladder) for placed in places for ladder in _ladders(placed)]
+    return in_threads(pair.train.threads, lambda ladder: _entry(*ladder, trials, options), ladders)
 
 
 def of_size(statement: Mapping[str, Any], system: System, scales: Scales) -> tuple[Placed, np.ndarray]:

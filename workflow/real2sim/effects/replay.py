@@ -165,8 +165,10 @@ class EffectReplay(FreeRuns, Replay):
             )
         for placed in self.effects:
             placed.effect.plant.build(spec, placed.where)
-        if self._frictional:
-            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+
+    def _may_be_constrained(self) -> bool:
+        """As of `Replay`; dry friction is set in every simulation anew."""
+        return self._frictional or super()._may_be_constrained()
 
     def _input_basis(self, placed: Placed) -> InputBasis:
         """Return the changes of the pelvis command and its start by an input chain, up to the parameters' bounds.
@@ -345,9 +347,6 @@ class EffectReplay(FreeRuns, Replay):
 
     def _roll(self, m: int) -> np.ndarray:
         fields = Fields(self._batch, self.model, m, self._scales, self.system)
-        others = np.setdiff1d(np.arange(self.model.nv), self._dofs)
-        if self._frictional:
-            self._armature[:m, others] = self.model.dof_armature[others]
         if self._sightings:
             self._set_up(m)
         if self._shifted:
@@ -373,22 +372,14 @@ class EffectReplay(FreeRuns, Replay):
         if self._shifted and self.model.tendon_springyield.any():
             # MuJoCo's reset lets what yields begin where the springs rest, which was another place before
             self._reset_to(self._state(m))
-        if self._frictional:
-            # An implicit damper is an inertia of damping times step, which MuJoCo's constraints do not know: what dry
-            # friction holds would creep by what is missing. As an inertia proper the same motion is held.
-            self._armature[:m] += self.model.opt.timestep * self._damping[:m]
-            # of a joint whose body stands alone MuJoCo knows the inertia by another field
-            lone = np.flatnonzero(self.model.dof_simplenum > 0)
-            if len(lone):
-                added = self._armature[:m, lone] - self.model.dof_armature[lone]
-                fields["dof_M0"][:, lone] = self.model.dof_M0[lone] + added
+        self._damp_explicitly(m)
         if self._stopped:
             self._weigh(m)
         if self._laws:
             return self._roll_answering(fields, m)
         if self._settled:
             self._settle(fields, m)
-        return super()._roll(m)
+        return self._step(m)
 
     def _roll_answering(self, fields: Fields, m: int) -> np.ndarray:
         """As of `Replay`, window by window.

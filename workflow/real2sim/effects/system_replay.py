@@ -108,8 +108,8 @@ class SystemReplay(FreeRuns):
         for placed in self.effects:
             placed.effect.plant.build(spec, placed.where)
         self._sticks = any(p.effect.plant.sticks for p in self.effects)
-        if self._sticks:
-            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+        # dampers are explicit, with what makes that the same motion (`_write_effects`): a tenth of a step is spared
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         self.spec = spec
         self.model = model = compiled(spec, system.model)
         self._batch = untimed_batch(model, nsim, setup.threads)
@@ -364,10 +364,9 @@ class SystemReplay(FreeRuns):
             self._write_input_chain(self.effects[i], values[i], m)
         for placed, value in zip(self.effects, values, strict=True):
             placed.effect.plant.before_run(fields, placed.where, impedance, value)
-        if self._sticks:
-            # an implicit damper is an inertia of damping times step, which constraints do not see: as one proper, the
-            # same motion is held
-            fields["dof_armature"][:] += self.model.opt.timestep * fields["dof_damping"]
+        # an implicit damper is an inertia of damping times step, which constraints do not see: as one proper, the same
+        # motion is held
+        fields["dof_armature"][:] += self.model.opt.timestep * fields["dof_damping"]
 
     def _write_input_chain(self, placed: Placed, values: np.ndarray, m: int) -> None:
         chain = placed.effect.chains.input

@@ -21,6 +21,7 @@ from real2sim.system.description import shipped_system
 from real2sim.verification.score import _score_misfit
 
 from tests.unit.test_coupling import CONFIG
+from tests.unit.test_displacements import CONTEXT
 
 SYSTEM = shipped_system("strap")
 ONES = np.ones(6)
@@ -119,7 +120,8 @@ def test_laws_are_measured_beside_what_leaves_more_than_noise_or_has_several_law
 
 def test_displacements_are_kin_of_what_they_are_a_case_of():
     late, drifting = (
-        next(d for d in displacements(10.0) if d.name == f"{n} markers") for n in ("late", "drifting")
+        next(d for d in displacements(10.0, CONTEXT) if d.name == f"{n} markers")
+        for n in ("late", "drifting")
     )
     assert is_kin(_law(late), _named("sync_offset"))
     assert not is_kin(_law(late), _named("soft_tissue"))
@@ -216,7 +218,7 @@ def test_effects_name_families_that_exist():
     joints = [*(a.joint for a in SYSTEM.axes), "base_x", "base_y", "base_yaw"]
     unit = dict.fromkeys(joints, 1.0)
     known = {f.kind for f in families(SYSTEM, names, unit, unit, 10.0)} | {
-        d.name for d in displacements(10.0)
+        d.name for d in displacements(10.0, CONTEXT)
     }
     unknown = {k for e in EFFECTS for k in e.kinds} - known
     assert not unknown

@@ -306,6 +306,54 @@ def test_displaced_markers_stay_a_rigid_set_and_start_where_they_are(name):
         assert np.abs(own[0][0]).max() < 1e-6
 
 
+def test_deflected_markers_go_each_its_own_way_by_one_coordinate_alone():
+    places = {
+        "ASIS_L": [0, 0.13, 0],
+        "ASIS_R": [0, -0.13, 0],
+        "PSIS_L": [-0.16, 0.05, 0],
+        "PSIS_R": [-0.16, -0.05, 0],
+    }
+    for axis in (0, 1, 2, 3, 5):
+        form = FORMS["random_deflected_markers"]
+        draw = next(
+            d
+            for d in (form.draw(np.random.default_rng(s), ABOUT) for s in range(99))
+            if d.values["axis"] == axis
+        )
+        assert form.law(draw).depends_on == ((f"q_{AXES[axis]}",),)
+
+        def pelvis(t):
+            return {n: np.tile(p, (len(t), 1)) for n, p in places.items()}
+
+        def centres(t, moving=axis):
+            """The interface moves by one coordinate, in front of a pelvis that stands."""
+            way, turn = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+            (way if moving < 3 else turn)[:, moving % 3] = 0.05 * np.sin(t)
+            turned = Rotation.from_rotvec(turn).as_matrix()
+            return np.stack([way + [0.1, 0, 0] + turned @ p for p in ([0, 0.2, 0], [0, -0.2, 0])], axis=1)
+
+        def axes(t, moving=axis):
+            turn = np.zeros((len(t), 3))
+            turn[:, moving % 3] = 0.05 * np.sin(t) if moving > 2 else 0.0
+            return Rotation.from_rotvec(turn).as_matrix()
+
+        t = np.arange(0, 6, 0.01)
+        for other in (axis, (axis + 2) % 3):
+            recording = Recording(
+                "dynamic_1", 6.0, 1.2, lambda t, k=other: centres(t, k), lambda t, k=other: axes(t, k), pelvis
+            )
+            form.record(recording, form.values(draw, 1.0, ABOUT), ABOUT)
+            left, right = np.moveaxis(recording.interface(t) - centres(t, other), 1, 0)
+            assert max(np.abs(left[0]).max(), np.abs(right[0]).max()) < 1e-6
+            assert (np.abs(left).max() > 1e-3) == (other == axis)
+            if other == axis:
+                # the same where the coordinate is the same, in axes that turn with the interface
+                back = np.argmin(np.abs(t - (np.pi - 1.0)))
+                there = np.einsum("nji,nj->ni", axes(t, other), left)
+                np.testing.assert_allclose(there[100], there[back], atol=2e-4)
+                assert np.abs(left - right).max() > 1e-3
+
+
 def test_posture_is_told_from_the_first_sample():
     rotation, position = swaying(np.array([0.0, 1.0]))[:2]
     now = posture(rotation, position)

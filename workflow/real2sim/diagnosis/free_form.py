@@ -54,7 +54,7 @@ _RHYTHMS = 4
 _SLOWEST_HZ = 0.2
 _PER_TURN = 4
 # Basis functions that one replay has at a time
-_CHUNK = 96
+_CHUNK = 48
 
 AnyFamily = Family | Displacement
 _Made = TypeVar("_Made")
@@ -67,6 +67,12 @@ class _ByPath(Generic[_Made]):
         self._trials = trials
         self._of_trials: dict[tuple[int, int], _Made] = {}
         self._latest: tuple[np.ndarray, int, _Made] | None = None
+
+    @property
+    def everything(self) -> list[_Made]:
+        """All entries, of whatever path."""
+        latest = [] if self._latest is None else [self._latest[2]]
+        return [*self._of_trials.values(), *latest]
 
     def get(self, context: Context, make: Callable[[], _Made]) -> _Made:
         """Return what is known of the path and the steps of a context, made where nothing is."""
@@ -104,7 +110,7 @@ class Library:
         # markers on a bar, and an interface whose rotation they show
         pose = {"pose", "bar", "base"} <= system.offers
         forces = families.families(system, list(own), self.force, q, self.longest_s)
-        self._take(forces, displacements(own["time"].scale) if pose else [])
+        self._take(forces, displacements(own["time"].scale, pair.train.context) if pose else [])
 
     @property
     def longest_s(self) -> float:
@@ -140,6 +146,11 @@ class Library:
                 made[term.name] = term.basis(own, self.ranges, step_s)
             out.append(made[term.name] * term.factor)
         return np.array(out).reshape(len(out), len(context.time_s))
+
+    def forget(self) -> None:
+        """Give back the memory of signals: they are made again where they are asked for."""
+        for _, made in self._known.everything:
+            made.clear()
 
     @property
     def motors(self) -> Placed:
@@ -794,8 +805,10 @@ def measure(
     alone = _alone(known, library, base, longest)
     within = [s for s in screened if alone - 2 * s.gain <= reach]
     chosen = [smoothed(s, known, library, base, longest) for s in _diverse(within, options["refits"])]
-    # linearised simulations, that nothing below asks for
+    # linearised simulations and signals of all families, that nothing below asks for
     del known
+    library.forget()
+    give_back()
     laws = in_threads(search.threads, lambda s: trial.refitted((), s, base), chosen)
     laws = sorted(laws, key=lambda law: -law.gain)
     for law in (law for law in laws[:3] if np.isfinite(law.gain)):

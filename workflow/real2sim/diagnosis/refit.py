@@ -19,6 +19,8 @@ from real2sim.recording.skin import Skin
 from real2sim.system.description import System
 
 BATCH = 16
+# Coefficients of planned forces whose responses are held at a time
+_COLUMNS = 48
 # A coordinate whose bounds are no further apart than this is held
 NO_RANGE = 1e-4
 # Slope [SD of noise per large force of a joint] that no stable simulation has: a large force moves by a large excursion
@@ -239,10 +241,12 @@ class JointResiduals(least_squares.Residuals):
             acts = np.flatnonzero(placed.of_trial(held_out=evidence.held_out)) + own.start
             if placed.effect.plant.linear and np.isin(acts, columns).any():
                 unit = np.eye(len(acts))
-                force = placed.effect.plant.force(unit, context, placed.where, impedance)
-                assert force is not None
-                moved, turned = self._replay.response(linear, i, force)
-                data[:, acts] = (evidence.whitened(paths + moved, joints + turned) - here).T
+                # a free history has hundreds of coefficients, whose simulated paths would fill the memory
+                for some in np.split(np.arange(len(acts)), np.arange(_COLUMNS, len(acts), _COLUMNS)):
+                    force = placed.effect.plant.force(unit[some], context, placed.where, impedance)
+                    assert force is not None
+                    moved, turned = self._replay.response(linear, i, force)
+                    data[:, acts[some]] = (evidence.whitened(paths + moved, joints + turned) - here).T
         if not np.abs(data).max(initial=0.0) < ENDLESS:
             return None
         beside = self._beside_data(np.vstack([z, z + np.eye(len(z))[columns]]))

@@ -1,7 +1,8 @@
 """Free-form displacements of what is measured: markers of the interface and the path of the driven segment.
 
 As the families of forces, each is linear in coefficients with a Gaussian prior: lags and filters of any order by the
-derivatives of a path, drift by powers of time, markers on a body that turns by its orientation.
+derivatives of a path, drift by powers of time, markers on a body that turns by its orientation, markers on a strap that
+is stretched by where the interface is against the segment.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 import scipy
+from numpy.polynomial import legendre
 from scipy.spatial.transform import Rotation
 
 from real2sim import signals
@@ -26,6 +28,9 @@ _WAY_M = 0.005
 _TURN_RAD = 0.02
 _ANGLE_RAD = 0.1
 _BAND_HZ = 6.0
+# Coordinates of the interface that its two markers show, and how many functions of one there are
+DEFLECTIONS = ("tx", "ty", "tz", "rx", "rz")
+_ORDERS = 8
 # Times [s] after which what trails behind a turn has followed
 _TIMES_S = (0.15, 0.5, 1.5)
 
@@ -76,12 +81,18 @@ _TRAILS = _TURNED + tuple(f"{term} relaxing in {t:g} s" for t in _TIMES_S for te
 _TRAILING_OF = tuple(f"history of {turn}" for turn in _TURNS)
 
 
-def displacements(long_s: float) -> list[Displacement]:
+def displacements(long_s: float, fitted: Context) -> list[Displacement]:
     """Return all families of displacements of a system whose segment has a pose and whose interface has markers.
 
-    ``long_s`` is one unit of the time [s] by which they drift, the same in all trials.
+    ``long_s`` is one unit of the time [s] by which they drift, the same in all trials; ``fitted`` the trial that is
+    fitted, whose ranges of the interface's coordinates markers may be displaced by.
     """
-    return [*_of_markers(long_s), *_of_segment(long_s)]
+    return [*_of_markers(long_s), *_of_deflected_markers(fitted), *_of_segment(long_s)]
+
+
+def deflected_by(axis: str) -> str:
+    """Return the name of the family of markers that one coordinate of the interface displaces."""
+    return f"markers by {axis}"
 
 
 def _of_markers(long_s: float) -> Iterator[Displacement]:
@@ -98,6 +109,22 @@ def _of_markers(long_s: float) -> Iterator[Displacement]:
         ("trailing markers", _TRAILING_OF, _TRAILS, trails, _trailing_markers),
     ):
         yield Displacement(name, "output", depends_on, terms, weights, Chains(output=chain))
+
+
+def _of_deflected_markers(fitted: Context) -> Iterator[Displacement]:
+    visited = deflections(fitted.measured[None], fitted)[0]
+    # rough functions are rarer
+    weights = tuple(1 / max(k, 1) for k in range(_ORDERS + 1) for _ in range(6))
+    for i, axis in enumerate(DEFLECTIONS):
+        terms = tuple(
+            f"{marker} {a} P{k}({axis})"
+            for k in range(_ORDERS + 1)
+            for a in "xyz"
+            for marker in ("left", "right")
+        )
+        reach = float(np.nanmin(visited[:, i])), float(np.nanmax(visited[:, i]))
+        chain = partial(_deflected_markers, i, reach)
+        yield Displacement(deflected_by(axis), "output", (f"q_{axis}",), terms, weights, Chains(output=chain))
 
 
 def _of_segment(long_s: float) -> Iterator[Displacement]:
@@ -151,6 +178,30 @@ def _angles(context: Context) -> np.ndarray:
 def _turned_markers(paths: np.ndarray, values: np.ndarray, context: Context) -> np.ndarray:
     angles = np.column_stack([np.ones(len(context.time_s)), _angles(context)])
     return _moved(paths, angles, values, context)
+
+
+def deflections(paths: np.ndarray, context: Context) -> np.ndarray:
+    """Return coordinates (m, n, 5) of the interface, `DEFLECTIONS` [m, rad], that marker paths (m, n, 2, 3) [m] show.
+
+    Angles are those of small turns.
+    """
+    origin, rest = context.pelvis_position[:, None], context.shapes.interface
+    way = np.einsum("nji,mnkj->mnki", context.pelvis_rotation, paths - origin) - rest
+    apart = (way[:, :, 0] - way[:, :, 1]) / np.linalg.norm(rest[0] - rest[1])
+    return np.concatenate([way.mean(axis=2), apart[..., 2:], -apart[..., :1]], axis=2)
+
+
+def _deflected_markers(
+    axis: int, reach: tuple[float, float], paths: np.ndarray, values: np.ndarray, context: Context
+) -> np.ndarray:
+    low, high = reach
+    # by where the simulation has the interface: what was recorded there holds the displacement that is looked for
+    q = deflections(paths, context)[..., axis]
+    inside = np.clip((2 * q - low - high) / max(high - low, 1e-9), -1, 1)
+    way = np.einsum(
+        "mnk,mkcj->mnjc", legendre.legvander(inside, _ORDERS), values.reshape(len(values), -1, 3, 2)
+    )
+    return np.asarray(paths + _WAY_M * np.einsum("nic,mnjc->mnji", context.interface_rotation, way))
 
 
 def _trails(context: Context) -> np.ndarray:

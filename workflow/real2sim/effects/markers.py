@@ -17,6 +17,7 @@ from real2sim.effects.chains import (
     Poses,
     markers_of,
 )
+from real2sim.effects.displacements import DEFLECTIONS, deflected_by
 from real2sim.effects.frames import RESTS
 from real2sim.effects.migration import DRIFTS
 from real2sim.geometry import PELVIS_MARKERS, interface_frame, mean_rotation, pelvis_frame
@@ -212,7 +213,7 @@ EFFECTS = (
         group="S",
         scope="whole",
         needs=frozenset({"bar", "pose"}),
-        chains=Chains(observation=OnStrap(), kinds=("turned markers",)),
+        chains=Chains(observation=OnStrap(), kinds=("turned markers", *map(deflected_by, DEFLECTIONS))),
         form="on_strap",
         remedy=(
             "Tape the markers to the robot's side of the interface. Start of this model is where the robot truly was;"

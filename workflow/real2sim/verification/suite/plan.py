@@ -77,6 +77,7 @@ RANDOM_LAWS = (
     "random_base_speed",
     "random_pelvis_markers",
     "random_interface_markers",
+    "random_deflected_markers",
 )
 
 # Seconds that a case took to write and to answer on one core of a 2-core machine, where nothing was measured yet

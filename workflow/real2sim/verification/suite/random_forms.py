@@ -6,6 +6,7 @@ Importing this module enters them in `effects.FORMS`. Each states its `TrueLaw` 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -45,6 +46,8 @@ from real2sim.verification.suite.true_laws import JOINTS, PLACES, SPEEDS, TrueLa
 POSTURES = ("tilt", "list", "heading", "height")
 _RATE_HZ = 500.0  # of the histories that displaced markers follow
 _BRANCHES = 8
+
+Sampled = Callable[[np.ndarray], np.ndarray]
 
 
 def posture(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -677,3 +680,48 @@ class RandomInterfaceMarkers(_Displacement):
         shift = sampled(grid, self.shift(values, grid, axes(grid), about))
         for side in range(2):
             displace(recording, side, lambda t: np.einsum("nij,nj->ni", axes(t), shift(t)))
+
+
+@register
+class RandomDeflectedMarkers(RandomForm):
+    """Each interface marker displaced its own way by one coordinate of the interface, up to 50 mm off a straight line.
+
+    Markers on a strap that stretches, or that the person's body hides in part.
+    """
+
+    effect = form = "random_deflected_markers"
+    stage = "output"
+    moves_truth = False
+    kinds: ClassVar[tuple[str, ...]] = ("measurement",)
+    kin: ClassVar[tuple[str, ...]] = ("marker_offset",)
+
+    def draw(self, rng: Generator, about: Context) -> Draw:
+        # two markers do not show a turn about the line between them
+        ways = rng.standard_normal((2, 3))
+        fixed = {"axis": int(rng.choice([0, 1, 2, 3, 5])), "ways": ways / np.linalg.norm(ways, axis=1).max()}
+        return Draw(values=fixed | curved(rng))
+
+    def values(self, draw: Draw, severity: float, about: Context) -> Values:
+        return {**draw.values, "size": 0.05 * severity}
+
+    def law(self, draw: Draw) -> TrueLaw:
+        return TrueLaw(self.stage, (), self.kinds, ((f"q_{AXES[draw.values['axis']]}",),), kin=self.kin)
+
+    def record(self, recording: Recording, values: Values, about: Context) -> None:
+        axes, grid = recording.axes, _grid(recording)
+        rotation, position = pelvis_pose(recording.pelvis(grid))
+        there = np.einsum(
+            "nij,nkj->nki", np.swapaxes(rotation, 1, 2), recording.interface(grid) - position[:, None]
+        )
+        turned = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ axes(grid))
+        turns = (turned * turned[0].inv()).as_rotvec()
+        q = np.hstack([there.mean(axis=1) - there[0].mean(axis=0), turns])[:, values["axis"]]
+        s = (q / about.reach[values["axis"]])[:, None]
+        shift = values["size"] * (evaluate(values, s) - evaluate(values, np.zeros(1)))[:, None]
+        for side, way in enumerate(values["ways"]):
+            displace(recording, side, _along(axes, sampled(grid, shift * way)))
+
+
+def _along(axes: Sampled, moved: Sampled) -> Sampled:
+    """Return displacements (n, 3) [m, world] at times (n,), of those in axes that turn."""
+    return lambda t: np.einsum("nij,nj->ni", axes(t), moved(t))

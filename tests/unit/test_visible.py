@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.visible import _crossed, _Trials, of_size
+from real2sim.diagnosis.visible import _confirmed, _crossed, _Left, _occam, _Trials, of_size
 from real2sim.effects.base import Scales
 from real2sim.system.description import shipped_system
 
@@ -98,3 +98,51 @@ def test_what_an_effect_earns_scatters_as_simulated_noise_does_and_no_less_than_
     trials._noise = [noise, -noise]
     ways = [np.full(20, 2.0), np.full(20, 1.0)]
     assert trials._scatter(ways) == pytest.approx(2 * expected * np.sqrt(100.0), rel=0.05)
+
+
+def _left(fitted, held_out, shown=1e9, step=0.0):
+    return _Left((fitted, held_out), 10.0, shown, step)
+
+
+def test_an_effect_is_seen_where_it_earns_enough_and_rises_above_quiet_noise():
+    sure = 1.645 * 10
+    told = SimpleNamespace(gain=368.0, hidden=-5.0)
+    assert _left(200.0, 184.0 + sure).sure(16.0, told) == pytest.approx(1.0)
+    # the plain fit leaves less than expected: 200 more are taken for noise
+    quiet = SimpleNamespace(gain=368.0, hidden=200.0)
+    assert _left(900.0, 900.0, shown=100.0 + sure).sure(16.0, quiet) == pytest.approx(0.5)
+
+
+def test_a_sensor_that_is_quieter_than_expected_hides_what_an_effect_adds_to_it():
+    trials = object.__new__(_Trials)
+    sensors = SimpleNamespace(sensors={"markers": 1, "log": 1})
+    trials._items, trials._noise = (sensors, sensors), [np.zeros((2, 4))] * 2
+    trials._plain, trials._expected = np.array([100.0, 60.0]), (100, 100)
+    trials._on_floor, trials._above = (False, True), 0.0
+    # 25 of the markers and 25 of the log in each trial, of which the log is granted 40
+    told = trials._told((np.tile([5.0, 5.0], 2)[:4] / np.sqrt(2),) * 2, np.array([0.1, -0.4]))
+    assert told.by_trial == pytest.approx((50.0, 50.0))
+    assert told.shown == pytest.approx(50.0 + 10.0)
+    assert told.step == 0.4
+
+
+def test_a_size_that_long_steps_of_the_plain_parameters_hide_is_enlarged_until_refits_leave_enough():
+    placed, x = of_size(
+        {"effect": "coulomb", "axes": ["tz"], "side": 0, "parameter": "force", "from": 1.0}, STRAP, SCALES
+    )
+    asked = []
+
+    def refitted(placed, row):
+        size = float(placed.values(row[None])[0, 0])
+        asked.append(size)
+        return _left(0.0, 100.0 * size**2 + 1.645 * 10)
+
+    trials = SimpleNamespace(gain=400.0, hidden=0.0, refitted=refitted)
+    size = _confirmed(placed, 0, x, 1.0, 50.0, trials)
+    occam = _occam(placed, 0, np.log([[size / placed.values(np.zeros((1, 1)))[0, 0]]]), np.zeros(1))
+    assert size == asked[-1]
+    assert 2.0 <= size < 2.3
+    assert 100 * size**2 >= 400 + occam[0]
+    assert len(asked) < 6
+    assert _confirmed(placed, 0, x, 1.0, 1.5, trials) is None
+    assert _confirmed(placed, 0, x, 1.0, 50.0, SimpleNamespace(refitted=lambda *rest: None)) is None

@@ -192,11 +192,11 @@ def attribute(
         hypotheses = _neighbours(search, plain, complete, everything, settings)
         hypotheses = _without_spikes(search, plain, hypotheses, everything)
         return Attribution(plain, hypotheses, [], count, search.pair, search.evaluations)
-    singles = search.screen(plain, everything)
-    listed = [(s.effects[-1].key, s.predicted) for s in singles]
-    progress(f"screened {len(listed)} hypotheses")
     least = settings["questionable_probability"]
     quiet = calibration is not None and is_out_of_reach(search.above(plain), sum(count), least, calibration)
+    singles = search.screen(plain, everything, weaken=not quiet)
+    listed = [(s.effects[-1].key, s.predicted) for s in singles]
+    progress(f"screened {len(listed)} hypotheses")
     hypotheses = _alone(search, _shortlist(singles, settings), plain, settings, quiet=quiet)
     if hypotheses:
         if not quiet:

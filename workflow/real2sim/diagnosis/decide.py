@@ -147,9 +147,13 @@ def is_out_of_reach(left: float, samples: int, questionable: float, c: Diagnosis
     trials. Two standard deviations of what noise leaves are granted to that law, and it has to be as likely as
     ``questionable``.
     """
-    gain = max(left + 2 * float(np.sqrt(2 * samples)), 0.0)
-    log_odds = -c["cause_log_odds"] - log_likelihood(gain, 0.0, c)
-    return bool(log_odds < np.log(questionable / (1 - questionable)))
+    return left < reach(samples, questionable, c)
+
+
+def reach(samples: int, questionable: float, c: DiagnosisCalibrationSettings) -> float:
+    """Return chi-squared above its expectation from which on `is_out_of_reach` no longer holds."""
+    log_odds = c["cause_log_odds"] + float(np.log(questionable / (1 - questionable)))
+    return difference_for(log_odds, c) - 2 * float(np.sqrt(2 * samples))
 
 
 def _laws(candidate: Candidate) -> int:

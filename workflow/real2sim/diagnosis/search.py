@@ -391,15 +391,16 @@ class Search:
         self.pair = replace(before, train=train, held_out=held_out)
         return train is not before.train or held_out is not before.held_out
 
-    def screen(self, base: Hypothesis, places: Sequence[Placed]) -> list[Screened]:
-        """Predicted cost of adding each place to a fitted hypothesis, best first."""
+    def screen(self, base: Hypothesis, places: Sequence[Placed], *, weaken: bool = True) -> list[Screened]:
+        """Predicted cost of adding each place to a fitted hypothesis, best first; ``weaken``: weaker starts too."""
         problem = self._residuals(base.effects)
         here = Tangent(base.z, *problem.with_jacobian(base.z, np.arange(len(base.z))))
         self._screened_from = here
         self._count(problem.evaluations)
         sets = [(*base.effects, placed) for placed in places]
         sets = [effects for effects in sets if not conflict(effects)]
-        found = in_threads(self.threads, lambda effects: self._screen_one(effects, here), sets)
+        rounds = self._settings["weakenings"] if weaken else 1
+        found = in_threads(self.threads, lambda effects: self._screen_one(effects, here, rounds), sets)
         return sorted((one for one in found if one is not None), key=lambda s: s.predicted)
 
     def refits_beside(self, base: Hypothesis, places: Sequence[Placed], most: int) -> list[Hypothesis]:
@@ -415,15 +416,18 @@ class Search:
         borne = [(sets[i], starts[i][0]) for i in order if starts[i][1] < FAILED]
         return in_threads(self.threads, lambda one: self.fit(*one), borne)
 
-    def _screen_one(self, effects: tuple[Placed, ...], here: Tangent) -> Screened | None:
-        """Predicted cost of the last effect beside the others, on the tangent at the best of its starts."""
+    def _screen_one(self, effects: tuple[Placed, ...], here: Tangent, rounds: int) -> Screened | None:
+        """Predicted cost of the last effect beside the others, on the tangent at the best of its starts.
+
+        Weaker starts are tried, ``rounds`` in all, as long as the tangent predicts more than is left without it.
+        """
         placed = effects[-1]
         residuals = self._residuals(effects)
         lower, upper = residuals.lower, residuals.upper
         own = np.arange(len(here.z), len(lower))
         found: list[Screened] = []
         nothing = float(np.sum(here.residuals**2))
-        for starts in _weakened(placed, placed.starts(), self._settings["weakenings"]):
+        for starts in _weakened(placed, placed.starts(), rounds):
             z = np.hstack([np.tile(here.z, (len(starts), 1)), starts])
             at = residuals.many(z)
             # prior rows of the base's own effects stand before those of the new one
@@ -529,7 +533,7 @@ def _together(here: Tangent, one: Beside, other: Beside) -> Beside:
 def _weakened(placed: Placed, x: np.ndarray, count: int) -> Iterator[np.ndarray]:
     """Yield a start (p,) of an effect, or several (s, p), then weaker and weaker ones, ``count`` in all.
 
-    Logarithms are not weakened: starts of an effect that has nothing else come once.
+    Starts of an effect that has nothing to be weakened come once.
     """
     for _ in range(count):
         yield x

@@ -2,21 +2,24 @@
 
 An effect of some size is simulated beside the plain fit. What the plain plant would leave of it, its parameters fitted
 anew on the tangent, is what the effect would earn; it is told where that is more than the decision asks of a law
-against `none`, with the scatter that noise gives it. That scatter is of simulated noise, which may lie along what the
-effect changes more than white noise does. What is swallowed whole (by a start pose that is free, by stiffness or
-damping) is invisible at any size.
+against `none`, and lifts what is left above noise, with the scatter that noise gives it. That scatter is of simulated
+noise, which may lie along what the effect changes more than white noise does. What is swallowed whole (by a start pose
+that is free, by stiffness or damping) is invisible at any size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from real2sim.diagnosis.decide import gain_of_a_law
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals
-from real2sim.diagnosis.search import Pair
+from real2sim.diagnosis.decide import gain_of_a_law, reach
+from real2sim.diagnosis.evidence import Evidence
+from real2sim.diagnosis.refit import Hypothesis, JointResiduals, refit
+from real2sim.diagnosis.search import Pair, Search
+from real2sim.diagnosis.sensors import above, by_sensor, pooled
 from real2sim.effects.base import Scales
 from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.inference.least_squares import bounded_step
@@ -30,6 +33,9 @@ if TYPE_CHECKING:
 _SIZES = 14
 # Smallest size of a parameter that may be nothing, as a share of the largest
 _SMALLEST = 1e-3
+# Step [ln] of a plain parameter from which on the tangent is not believed; how often it is refitted then, and by how
+# much beyond what the last refit promises
+_BELIEVED, _REFITS, _BEYOND = 0.3, 8, 1.05
 # Standard deviations below which 5 % of a normal distribution lie
 _ONE_SIDED_95 = 1.645
 
@@ -46,7 +52,7 @@ def could_have_shown(pair: Pair, plain: Hypothesis, options: DiagnosisSettings) 
     effects = [first[name] for name in wanted if name in first]
     places = [Placed(e, where, pair.train.scales) for e in effects for where in e.places(pair.system)]
     ladders = [(placed, *ladder) for placed in places for ladder in _ladders(placed)]
-    return in_threads(pair.train.threads, lambda ladder: _entry(*ladder, trials, options), ladders)
+    return in_threads(pair.train.threads, lambda ladder: _entry(*ladder, trials), ladders)
 
 
 def of_size(statement: Mapping[str, Any], system: System, scales: Scales) -> tuple[Placed, np.ndarray]:
@@ -83,16 +89,54 @@ def _ladders(placed: Placed) -> Iterator[tuple[int, np.ndarray]]:
             return
 
 
+@dataclass(frozen=True)
+class _Left:
+    """Leftovers of an effect beside the plain plant: chi-squared ``by_trial`` (2,), and its SD by noise, ``scatter``.
+
+    ``shown`` is by how much chi-squared rises above what noise may leave: a sensor that is quieter than expected hides
+    some. ``step`` is the longest step [as searched] that the plain parameters take.
+    """
+
+    by_trial: tuple[float, float]
+    scatter: float
+    shown: float
+    step: float
+
+    def sure(self, occam: float, trials: _Trials) -> float:
+        """Return the share that it has in 95 % of records of what tells an effect from none."""
+        noise = _ONE_SIDED_95 * self.scatter
+        earned = (sum(self.by_trial) - noise) / (trials.gain + occam)
+        return min(earned, (self.shown - noise) / trials.hidden) if trials.hidden > 0 else earned
+
+
+class _Changed(JointResiduals):
+    """Residuals of the plain plant, fitted to what an effect changes (n_r,) of its own at ``z`` (n,)."""
+
+    def __init__(self, evidence: Evidence, system: System, z: np.ndarray, change: np.ndarray):
+        super().__init__(evidence, (), system, coarse=True)
+        self._shift = super().many(z[None])[0]
+        self._shift[: len(change)] += change
+
+    def many(self, z: np.ndarray) -> np.ndarray:
+        """As of `JointResiduals`."""
+        return np.asarray(super().many(z) - self._shift)
+
+
 class _Trials:
-    """Both trials at the plain fit: residuals, slopes by the system's parameters, room for those, and noise."""
+    """Both trials at the plain fit: residuals, slopes by the system's parameters, room for those, and noise.
+
+    ``gain`` is the deviance that a law has to earn, ``hidden`` what an effect has to add to chi-squared before the
+    plain fit leaves so much that any is looked for.
+    """
 
     def __init__(self, pair: Pair, plain: Hypothesis, options: DiagnosisSettings):
-        longest = options["search"]["longest_step"]
+        self._search_options = options["search"]
+        longest = self._search_options["longest_step"]
         self._pair, self._base = pair, plain.base
-        items = (pair.train, pair.held_out)
-        known = [JointResiduals(e, (), pair.system, coarse=True) for e in items]
+        self._items = (pair.train, pair.held_out)
+        known = [JointResiduals(e, (), pair.system, coarse=True) for e in self._items]
         both = [k.with_jacobian(plain.base, np.arange(len(plain.base))) for k in known]
-        self._residuals = [r[: e.rows] for (r, _), e in zip(both, items, strict=True)]
+        self._residuals = [r[: e.rows] for (r, _), e in zip(both, self._items, strict=True)]
         self._fitted, held_out = (j for _, j in both)
         self._held_out = held_out[: pair.held_out.rows]
         self._normal = self._fitted.T @ self._fitted + 1e-9 * np.eye(len(plain.base))
@@ -101,29 +145,61 @@ class _Trials:
         self._upper = np.minimum(upper - plain.base, longest)
         # other draws than those that whiten
         drawn = (pair.system.values(plain.base), (), options["noise_draws"], options["search"]["seed"] + 1)
-        self._noise = [e.noise_of((), *drawn) for e in items]
+        self._noise = [e.noise_of((), *drawn) for e in self._items]
+        search, least = Search(pair, options["search"]), options["search"]["questionable_probability"]
+        self._plain, self._expected = np.array(pooled(plain.by_sensor)), pooled(pair.samples_by_sensor)
+        self._on_floor, self._above = search.on_floor, search.above(plain)
+        self.gain = gain_of_a_law(options["calibration"])
+        self.hidden = reach(sum(search.samples), least, options["calibration"]) - self._above
 
-    def earned(self, placed: Placed, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the plain plant would leave of an effect of searched numbers (s, p), and its SD by noise.
+    def left(self, placed: Placed, x: np.ndarray) -> list[_Left | None]:
+        """Return what the plain plant would leave of an effect of searched numbers (s, p), fitted on the tangent.
 
-        The first (s, 2) is of both trials, the second (s,) of their sum.
+        None where MuJoCo gives up.
         """
+        out: list[_Left | None] = []
+        n = self._pair.train.rows
+        for fitted, held_out in self._changes(placed, x):
+            if not (np.isfinite(fitted).all() and np.isfinite(held_out).all()):
+                out.append(None)
+                continue
+            # the effect is in the data, so that the plain plant lacks it
+            slope = self._fitted[:n].T @ -fitted
+            step = bounded_step(self._normal, slope, self._lower, self._upper)
+            ways = self._fitted[:n] @ step - fitted, self._held_out @ step - held_out
+            out.append(self._told(ways, step))
+        return out
+
+    def refitted(self, placed: Placed, x: np.ndarray) -> _Left | None:
+        """Return the same of an effect of searched numbers (p,), with the plain plant's parameters refitted."""
+        ((fitted, held_out),) = self._changes(placed, x[None])
+        if not (np.isfinite(fitted).all() and np.isfinite(held_out).all()):
+            return None
+        problem = _Changed(self._pair.train, self._pair.system, self._base, fitted)
+        own = self._search_options
+        z, _ = refit(problem, self._base, iterations=own["iterations"], ftol=own["ftol"])
+        there = JointResiduals(self._pair.held_out, (), self._pair.system, coarse=True).many(z[None])[0]
+        other = there[: len(held_out)] - self._residuals[1] - held_out
+        return self._told((problem.many(z[None])[0][: len(fitted)], other), z - self._base)
+
+    def _changes(self, placed: Placed, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield what an effect of each searched numbers (s, p) changes of the residuals (n_r,) of both trials."""
         z = np.hstack([np.tile(self._base, (len(x), 1)), x])
         changes = []
-        for evidence, here in zip((self._pair.train, self._pair.held_out), self._residuals, strict=True):
+        for evidence, here in zip(self._items, self._residuals, strict=True):
             problem = JointResiduals(evidence, (placed,), self._pair.system, coarse=True)
             changes.append(problem.many(z)[:, : evidence.rows] - here)
-        left, scatter = np.full((len(x), 2), np.nan), np.full(len(x), np.nan)
-        n = self._pair.train.rows
-        for k, (fitted, held_out) in enumerate(zip(*changes, strict=True)):
-            if np.isfinite(fitted).all() and np.isfinite(held_out).all():
-                # the effect is in the data, so that the plain plant lacks it
-                slope = self._fitted[:n].T @ -fitted
-                step = bounded_step(self._normal, slope, self._lower, self._upper)
-                ways = self._fitted[:n] @ step - fitted, self._held_out @ step - held_out
-                left[k] = [way @ way for way in ways]
-                scatter[k] = self._scatter(ways)
-        return left, scatter
+        yield from zip(*changes, strict=True)
+
+    def _told(self, ways: tuple[np.ndarray, np.ndarray], step: np.ndarray) -> _Left:
+        """Return what residuals (n_r,) of either trial amount to, after a ``step`` (n,) of the parameters."""
+        by_trial = [
+            by_sensor(way[None], e.sensors.values())[0] for way, e in zip(ways, self._items, strict=True)
+        ]
+        now = above(self._plain + sum(by_trial), self._expected, self._on_floor)
+        fitted, held_out = (float(own.sum()) for own in by_trial)
+        longest = float(np.abs(step).max(initial=0.0))
+        return _Left((fitted, held_out), self._scatter(ways), now - self._above, longest)
 
     def _scatter(self, ways: Sequence[np.ndarray]) -> float:
         """Return the SD by noise of chi-squared that is left in the direction of residuals (n_r,) of either trial.
@@ -141,13 +217,20 @@ class _Trials:
         return 2 * float(np.sqrt(max(by_draws, sum(way @ way for way in ways))))
 
 
-def _entry(
-    placed: Placed, index: int, x: np.ndarray, trials: _Trials, options: DiagnosisSettings
-) -> dict[str, Any]:
-    left, scatter = trials.earned(placed, x)
-    sure = left.sum(axis=1) - _ONE_SIDED_95 * scatter
-    needed = gain_of_a_law(options["calibration"]) + _occam(placed, index, x, left[:, 0])
+def _entry(placed: Placed, index: int, x: np.ndarray, trials: _Trials) -> dict[str, Any]:
+    left = trials.left(placed, x)
+    fitted = np.array([np.nan if one is None else one.by_trial[0] for one in left])
+    occam = _occam(placed, index, x, fitted)
+    sure = np.array(
+        [np.nan if one is None else one.sure(o, trials) for one, o in zip(left, occam, strict=True)]
+    )
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
+    size = _crossed(sizes, sure, np.ones(len(x)))
+    if size is not None:
+        nearest = left[int(np.argmin(np.abs(np.log(np.abs(sizes / size)))))]
+        if nearest is None or nearest.step > _BELIEVED:
+            row = x[int(np.argmin(np.abs(np.log(np.abs(sizes / size)))))]
+            size = _confirmed(placed, index, row, size, float(np.abs(sizes).max()), trials)
     parameter = placed.effect.parameters[index]
     rotational = bool(placed.where.axes) and placed.where.system.axes[placed.where.axes[0]].rotational
     return {
@@ -155,9 +238,33 @@ def _entry(
         "axes": placed.axes,
         "side": placed.where.side,
         "parameter": parameter.name,
-        "from": _crossed(sizes, sure, needed),
+        "from": size,
         "unit": parameter.unit_for(rotational=rotational),
     }
+
+
+def _confirmed(
+    placed: Placed, index: int, x: np.ndarray, size: float, largest: float, trials: _Trials
+) -> float | None:
+    """Return the size from which on an effect shows beside refitted parameters, which take long steps beside it.
+
+    ``x`` (p,) are the searched numbers at another size. None where it does not show up to the ``largest``.
+    """
+    values = placed.values(x[None])
+    for _ in range(_REFITS):
+        values[0, index] = np.copysign(size, values[0, index])
+        row = placed.searched(values)
+        left = trials.refitted(placed, row[0])
+        if left is None:
+            return None
+        share = left.sure(float(_occam(placed, index, row, np.array([left.by_trial[0]]))[0]), trials)
+        if share >= 1:
+            return size
+        # what is left grows with the square of the size
+        size *= _BEYOND * float(np.sqrt(1 / max(share, 0.25)))
+        if size > largest:
+            break
+    return None
 
 
 def _occam(placed: Placed, index: int, x: np.ndarray, earned: np.ndarray) -> np.ndarray:

@@ -447,9 +447,16 @@ class Placed:
         return np.array([p.searched(v) for p, v in zip(self.effect.parameters, values, strict=True)])
 
     def weaker(self, x: np.ndarray) -> np.ndarray:
-        """Return a quarter of the searched numbers (p,) that are no logarithms, inside the bounds."""
+        """Return searched numbers (p,) of a weaker effect, inside the bounds.
+
+        A quarter of those that are no logarithms. A logarithm of an effect on an axis goes half of the way to the bound
+        beyond which the effect does nothing. Others stay: filters that do next to nothing are all alike.
+        """
         log = np.array([p.log for p in self.effect.parameters], dtype=bool)
-        return np.clip(np.where(log, x, x / 4), *self.bounds())
+        rest, (lower, upper) = self.at_rest(), self.bounds()
+        vanishes = log & ((rest <= lower) | (rest >= upper)) & bool(self.where.axes)
+        smaller = np.where(vanishes, (x + np.clip(rest, lower, upper)) / 2, np.where(log, x, x / 4))
+        return np.clip(smaller, lower, upper)
 
     def prior_sd(self) -> np.ndarray:
         """Prior SD (p,) of the searched numbers, infinite for none."""

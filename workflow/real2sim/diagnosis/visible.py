@@ -227,10 +227,10 @@ def _entry(placed: Placed, index: int, x: np.ndarray, trials: _Trials) -> dict[s
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
     size = _crossed(sizes, sure, np.ones(len(x)))
     if size is not None:
-        nearest = left[int(np.argmin(np.abs(np.log(np.abs(sizes / size)))))]
+        i = int(np.argmin(np.abs(np.log(np.abs(sizes / size)))))
+        nearest = left[i]
         if nearest is None or nearest.step > _BELIEVED:
-            row = x[int(np.argmin(np.abs(np.log(np.abs(sizes / size)))))]
-            size = _confirmed(placed, index, row, size, float(np.abs(sizes).max()), trials)
+            size = _confirmed(placed, index, x[i], size, float(np.abs(sizes).max()), trials)
     parameter = placed.effect.parameters[index]
     rotational = bool(placed.where.axes) and placed.where.system.axes[placed.where.axes[0]].rotational
     return {

@@ -14,6 +14,7 @@ from numpy.random import Generator
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from real2sim.geometry import interface_coordinates, relative_pose
 from real2sim.verification.phantom.physics import AXES
 from real2sim.verification.suite import random_laws as laws
 from real2sim.verification.suite.effects import (
@@ -709,14 +710,10 @@ class RandomDeflectedMarkers(RandomForm):
 
     def record(self, recording: Recording, values: Values, about: Context) -> None:
         axes, grid = recording.axes, _grid(recording)
-        rotation, position = pelvis_pose(recording.pelvis(grid))
-        there = np.einsum(
-            "nij,nkj->nki", np.swapaxes(rotation, 1, 2), recording.interface(grid) - position[:, None]
-        )
-        turned = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ axes(grid))
-        turns = (turned * turned[0].inv()).as_rotvec()
-        q = np.hstack([there.mean(axis=1) - there[0].mean(axis=0), turns])[:, values["axis"]]
-        s = (q / about.reach[values["axis"]])[:, None]
+        middle = recording.interface(grid).mean(axis=1)
+        rotation, position = relative_pose(*pelvis_pose(recording.pelvis(grid)), axes(grid), middle)
+        q = interface_coordinates(rotation, position, rotation[0], position[0])
+        s = q[:, values["axis"], None] / about.reach[values["axis"]]
         shift = values["size"] * (evaluate(values, s) - evaluate(values, np.zeros(1)))[:, None]
         for side, way in enumerate(values["ways"]):
             displace(recording, side, _along(axes, sampled(grid, shift * way)))

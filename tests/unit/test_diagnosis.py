@@ -287,8 +287,10 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
         _case("C0005", "out_of_library", ["push"], UNKNOWN, tmp_path),
         _case("C0006", "mixture", ["slack", "coulomb"], "slack", tmp_path),
         _case("C0007", "mixture", ["slack", "creep"], "slack", tmp_path),
+        _case("C0008", "shared_axis", ["slack", "coulomb"], UNKNOWN, tmp_path),
+        _case("C0009", "shared_axis", ["slack", "creep"], "slack", tmp_path),
     ]
-    for effect, alone in zip(made[-1][0]["effects"], (1.0, 0.01), strict=True):
+    for effect, alone in zip(made[6][0]["effects"], (1.0, 0.01), strict=True):
         effect["visibility"] = {"alone": alone}
     truth, answers = tmp_path / "truth.json", tmp_path / "answers.json"
     truth.write_text(json.dumps({"cases": [t for t, _ in made]}))
@@ -302,8 +304,10 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     assert not claims["false alarm on null"]["met"]
     assert claims["out of library: unknown"]["value"] == 1.0
     assert claims["mixture: exact set"]["value"] == 0.0
+    assert claims["pair on one axis: unknown"]["value"] == 0.5
+    assert claims["pair on one axis: another set, sure and not marked"]["value"] == 0.5
     assert claims["mixture of two that each can be seen: exact set"]["n"] == 1
-    assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004"}
+    assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004", "C0008"}
     assert [row["name"] for row in score["baselines"]] == ["this diagnosis", "always none", "AIC"]
     assert score["baselines"][1] == {
         "name": "always none",

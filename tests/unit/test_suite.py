@@ -416,9 +416,9 @@ def test_search_takes_the_bound_where_it_cannot_reach_the_target():
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     suite = load("suite-development")
-    suite |= {"name": "test", "effects": ["slack", "sync_offset"], "seed": 5}
-    suite["cases"] = dict.fromkeys(plan.STRATA, 0) | {"null": 1, "in_library": 2}
-    suite["visibilities"]["in_library"] = [0.2]
+    suite |= {"name": "test", "effects": ["slack", "sync_offset", "preload"], "seed": 5}
+    suite["cases"] = dict.fromkeys(plan.STRATA, 0) | {"null": 1, "in_library": 3, "shared_axis": 1}
+    suite["visibilities"] |= {"in_library": [0.2], "shared_axis": [0.2]}
     suite["trials"] |= {"dynamic_s": 7.0, "neutral_s": 4.5}
     # louder than what the robot does in a sway as hasty as so short a trial makes it
     suite["noise"]["log_low"] = 2e-4
@@ -443,8 +443,8 @@ def written(tmp_path_factory):
 def test_the_gaps_asked_for_are_reached(written):
     folder, _, _ = written
     sealed = json.loads((folder / "a/sealed.json").read_text())
-    with_effect = [case for case in sealed["cases"] if case["effects"]]
-    assert {case["effects"][0]["effect"] for case in with_effect} == {"slack", "sync_offset"}
+    with_effect = [case for case in sealed["cases"] if case["stratum"] == "in_library"]
+    assert {case["effects"][0]["effect"] for case in with_effect} == {"slack", "sync_offset", "preload"}
     for case in with_effect:
         assert case["visibility"]["target"] == 0.2
         assert case["visibility"]["predicted"] == pytest.approx(0.2, rel=0.15)
@@ -453,6 +453,24 @@ def test_the_gaps_asked_for_are_reached(written):
             f"{a} amplitude, {v}" for a in ("large", "small") for v in ("fast", "slow")
         }
         assert sum(case["regimes"].values()) == pytest.approx(1)
+
+
+def test_a_pair_on_one_axis_is_on_one_axis(written):
+    folder, _, _ = written
+    sealed = json.loads((folder / "a/sealed.json").read_text())
+    (pair,) = (case for case in sealed["cases"] if case["stratum"] == "shared_axis")
+    one, other = pair["effects"]
+    assert {one["effect"], other["effect"]} == {"slack", "preload"}
+    assert one["axes"] == other["axes"]
+    assert len(one["axes"]) == 1
+
+
+def test_pairs_on_one_axis_are_those_of_laws_along_one_axis():
+    suite = load("suite-standard")
+    suite["cases"] = dict.fromkeys(plan.STRATA, 0) | {"shared_axis": 40}
+    pairs = [case.forms for case in plan.cases(suite)]
+    assert {name for forms in pairs for name in forms} == set(plan.OF_ONE_AXIS)
+    assert not any(set(forms) <= set(group) for forms in pairs for group in plan.GROUPS)
 
 
 def test_regimes_part_a_gap_by_amplitude_and_speed():

@@ -75,7 +75,15 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
     rows, failed = _rows(answers, truths), _failed(answers)
     by = {
         stratum: [r for r in rows if r["case"]["stratum"] == stratum]
-        for stratum in ("null", "null_hard", "in_library", "form_mismatch", "mixture", "out_of_library")
+        for stratum in (
+            "null",
+            "null_hard",
+            "in_library",
+            "form_mismatch",
+            "mixture",
+            "out_of_library",
+            "shared_axis",
+        )
     }
     listed = [row for own in by.values() for row in own]
     answered = [True] * len(rows) + [False] * len(failed)
@@ -126,6 +134,7 @@ def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
         claim("form mismatch: family", _right(by["form_mismatch"]), ">= 85 %", lambda v: v >= 0.85),
         *_score_misfit(library, by["form_mismatch"]),
         *_score_mixtures(by["mixture"]),
+        *_score_shared(by["shared_axis"]),
         *_score_location(library),
         *_score_gap(library),
         *_score_parameters(library, nulls),
@@ -203,20 +212,36 @@ def _is_marked(row: Row) -> bool:
     return bool((row["answer"].get("misfit") or {}).get("marked"))
 
 
+def _exact(rows: list[Row]) -> list[bool]:
+    return [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in rows]
+
+
 def _score_mixtures(mixed: list[Row]) -> list[Row]:
     """Score cases with two effects, also those alone in which each of the two is visible by itself."""
-
-    def exact(rows: list[Row]) -> list[bool]:
-        return [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in rows]
-
     # creep of a short trial is swallowed by the refit however strong it is, and leaves nothing to name
     seen = [r for r in mixed if min(_alone(r)) >= FAINT]
     untargeted = "none: rho of each alone is 0.025 and more"
     return [
         claim("mixture: both in the top 3", _among(mixed, 3), ">= 90 %", lambda v: v >= 0.90),
-        claim("mixture: exact set", exact(mixed), ">= 65 %", lambda v: v >= 0.65),
+        claim("mixture: exact set", _exact(mixed), ">= 65 %", lambda v: v >= 0.65),
         claim("mixture of two that each can be seen: both in the top 3", _among(seen, 3), untargeted, None),
-        claim("mixture of two that each can be seen: exact set", exact(seen), untargeted, None),
+        claim("mixture of two that each can be seen: exact set", _exact(seen), untargeted, None),
+    ]
+
+
+def _score_shared(pairs: list[Row]) -> list[Row]:
+    """Score cases with two effects along one axis: what they do together may be another pair, or one law."""
+    # a name with a mark of misfit says itself that its form is not right
+    wrong = [
+        is_named and not exact and max(r["answer"]["probabilities"].values()) > SURE and not _is_marked(r)
+        for r, is_named, exact in zip(pairs, _named(pairs), _exact(pairs), strict=True)
+    ]
+    unknown = [r["answer"]["verdict"] == UNKNOWN for r in pairs]
+    return [
+        claim("pair on one axis: both in the top 3", _among(pairs, 3), "none", None),
+        claim("pair on one axis: exact set", _exact(pairs), "none", None),
+        claim("pair on one axis: unknown", unknown, "none", None),
+        claim("pair on one axis: another set, sure and not marked", wrong, "none", None),
     ]
 
 

@@ -58,6 +58,22 @@ GROUPS = (
     ("outliers",),
 )
 
+# Effects that can share an axis with another one in `shared_axis`: laws of the interface along one axis
+OF_ONE_AXIS = (
+    "slack",
+    "one_sided",
+    "stiffening",
+    "asymmetric_stiffness",
+    "coulomb",
+    "lugre",
+    "hysteresis",
+    "relaxation",
+    "creep",
+    "preload",
+    "joint_limit",
+    "quadratic_damping",
+)
+
 # Laws that no catalogue lists, by distribution, as they are drawn in `random_law`; listed here for the same reason.
 RANDOM_LAWS = (
     "random_elastic",
@@ -92,6 +108,7 @@ STRATA = (
     "out_of_library",
     "left_out",
     "random_law",
+    "shared_axis",
 )
 
 
@@ -188,8 +205,9 @@ def cases(suite: dict[str, Any]) -> list[Case]:
 
 def _picks(suite: dict[str, Any], stratum: str, count: int) -> list[tuple[tuple[str, ...], float]]:
     rng, targets = stream(suite, stratum), suite["visibilities"][stratum]
-    if stratum == "mixture":
-        pairs = _pairs(suite["effects"])
+    if stratum in ("mixture", "shared_axis"):
+        shared = stratum == "shared_axis"
+        pairs = _pairs([name for name in suite["effects"] if not shared or name in OF_ONE_AXIS])
         chosen = [pairs[i] for i in rng.permutation(len(pairs))]
         return [(chosen[i % len(chosen)], targets[i % len(targets)]) for i in range(count)]
     pool = suite["effects"] if stratum in ("in_library", "left_out") else suite[stratum]

@@ -21,7 +21,7 @@ from real2sim.verification.phantom.motions import Motion, pelvis_path
 from real2sim.verification.phantom.person import UNITS, Person, draw_person
 from real2sim.verification.phantom.physics import AXES, PelvisPath, Robot, TruePaths, robot_controller
 from real2sim.verification.suite import excitation
-from real2sim.verification.suite.effects import Draw
+from real2sim.verification.suite.effects import Draw, axis_weights
 from real2sim.verification.suite.forms import FORMS
 from real2sim.verification.suite.gaps import gaps, record_of, run_keys, with_effects
 from real2sim.verification.suite.measurement import (
@@ -50,6 +50,8 @@ from real2sim.verification.suite.true_laws import PLACES, SPEEDS, curve_of, libr
 
 TRIALS = ("neutral", TRAIN, HELD_OUT)
 FURTHER = "dynamic_3"
+# Draws of an effect until it acts along one asked axis alone: about one in nine does
+_MOST_DRAWS = 1000
 
 
 def write_cases(
@@ -244,9 +246,9 @@ def _solve(world: World, people: list[Synthetic], say: Callable[[str], None]) ->
     options = world.suite["severity"]
     jobs: list[tuple[Synthetic, Cause]] = [(p, c) for p in people for c in p.causes]
     trials: list[tuple[Synthetic, Cause, Draw, float]] = []
+    for p in people:
+        _draw(world.suite, p, options["candidates"])
     for p, cause in jobs:
-        rng = stream(world.suite, p.case.id, cause.name, "draw")
-        cause.candidates = [cause.form.draw(rng, about_of(p)) for _ in range(options["candidates"])]
         trials += [(p, cause, draw, 1.0) for draw in cause.candidates]
     fits = iter(_alone(world, trials))
     for p, cause in jobs:
@@ -286,6 +288,26 @@ def _solve(world: World, people: list[Synthetic], say: Callable[[str], None]) ->
             p.rho, p.left = p.causes[0].rho, p.causes[0].left[p.causes[0].severity]
     for p, fit in zip(mixed, together, strict=True):
         p.rho, p.left = fit.visibility(), fit.held_out
+
+
+def _draw(suite: dict[str, Any], p: Synthetic, count: int) -> None:
+    """Draw ``count`` candidates of every cause of a person, in `shared_axis` all of them along one axis."""
+    along = None
+    if p.case.stratum == "shared_axis":
+        weights, rng = axis_weights(), stream(suite, p.case.id, "axis")
+        along = int(rng.choice(6, p=weights / weights.sum()))
+    for cause in p.causes:
+        rng = stream(suite, p.case.id, cause.name, "draw")
+        cause.candidates = [_one_draw(cause, rng, p, along) for _ in range(count)]
+
+
+def _one_draw(cause: Cause, rng: np.random.Generator, p: Synthetic, along: int | None) -> Draw:
+    """One draw of a cause, ``along`` one axis alone where that is asked for."""
+    for _ in range(_MOST_DRAWS):
+        draw = cause.form.draw(rng, about_of(p))
+        if along is None or np.array_equal(draw.axes, np.arange(6) == along):
+            return draw
+    raise RuntimeError(f"{p.case.id}: no draw of {cause.name} acts along {AXES[along or 0]} alone")
 
 
 def _settle(world: World, jobs: list[tuple[Synthetic, Cause]], options: dict[str, Any]) -> None:

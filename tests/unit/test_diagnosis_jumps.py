@@ -87,6 +87,19 @@ def test_a_ghost_is_put_where_its_marker_was_to_the_others(marker, axis):
     assert mended.usable.all()
 
 
+def test_a_simulation_that_jumps_is_no_marker_that_jumps():
+    """A stop that is simulated too hard kicks the path, and what it leaves of the recording."""
+    recorded = filtered(body())[:, :2]
+    simulated = recorded + 1e-4 * np.random.default_rng(1).standard_normal(recorded.shape)
+    simulated[500:503, :, 2] += 0.002
+    assert spikes(recorded - simulated, RULE, RESIDUAL_SD)[500:503].all()
+    assert not spikes(recorded - simulated, RULE, RESIDUAL_SD, simulated).any()
+    recorded[700:703, 0, 1] += 0.01
+    found = spikes(recorded - simulated, RULE, RESIDUAL_SD, simulated)
+    assert found[700:703, 0].all()
+    assert not found[:, 1].any()
+
+
 def test_the_pelvis_is_unknown_where_two_markers_are_ghosts():
     jumped = body()
     jumped[500:503, 0] += 0.02

@@ -18,6 +18,7 @@ from real2sim.diagnosis.attribute import (
     _neighbours,
     _other_forms,
     _other_laws,
+    _paired_anew,
     _pairs,
     _plainer,
     _promising,
@@ -96,7 +97,7 @@ def test_an_effect_that_ends_worse_than_none_is_tried_from_all_its_starts():
     screened = Screened((placed,), 500.0, stuck, _tangent(stuck))
     search = _Stuck()
     assert _single(search, screened, plain).chi2 == (100.0, 100.0)
-    assert len(search.asked) == 1 + len(placed.starts())
+    assert len(search.asked) == 2 + len(placed.starts()), "from where the tangent was taken too"
 
 
 def test_a_refit_that_cannot_be_simulated_begins_again_where_its_tangent_was_taken():
@@ -141,14 +142,57 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     )
     tried = _swapped(search, found, [tilt, friction, damping, places["slack", ""]], settings)
     assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
+    # what leaves nothing but noise need not be what leaves least
     quiet = [Hypothesis((tilt, damping), z, (2880.0, 2880.0))]
-    assert _swapped(search, quiet, list(places.values()), settings) == []
-    # a late clock and a filter leave as little as each other: both are tried beside whatever else there is
+    tried = _swapped(search, quiet, [tilt, friction, damping, places["slack", ""]], settings)
+    assert [h.key for h in tried] == [f"{tilt.key} + {friction.key}"]
     late, smooth = (places[name, ""] for name in ("sync_offset", "filter_lag"))
     start = np.concatenate([np.zeros(12), [0.0, 0.0], smooth.starts()[0]])
     timed = [Hypothesis((tilt, smooth), start, (2880.0, 2880.0))]
     tried = _swapped(search, timed, [tilt, late, smooth, friction], settings)
     assert [h.key for h in tried] == [f"{tilt.key} + {late.key}"]
+
+
+def test_two_laws_of_one_axis_give_way_to_two_others():
+    """Neither of the true two is in the best set, and one of them alone leaves more than each that is."""
+    places = {(e.name, e.form): Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}
+    wrong = tuple(places[name, ""] for name in ("stiffening", "hysteresis"))
+    true = tuple(places[name, ""] for name in ("slack", "coulomb"))
+    other = Placed(wrong[0].effect, wrong[0].effect.places(STRAP)[1], SCALES)
+
+    def keys(effects):
+        return {p.key for p in effects}
+
+    def fitted(effects, left):
+        z = np.concatenate([np.zeros(12), *(p.starts()[0] for p in effects)])
+        return Hypothesis(tuple(effects), z, (left, left))
+
+    class Screening(_Stuck):
+        def screen(self, base, laws, *, weaken=True):
+            out = []
+            for law in laws:
+                effects = (*base.effects, law)
+                promise = 100.0 if keys(true) <= keys(effects) else 5000.0
+                z = np.concatenate([base.z, law.starts()[0]])
+                out.append(Screened(effects, promise, z, _tangent(z)))
+            return sorted(out, key=lambda s: s.predicted)
+
+        def fit_screened(self, screened):
+            return fitted(screened.effects, 2880.0 if keys(true) <= keys(screened.effects) else 8000.0)
+
+        def fit(self, effects, start, final=False, tangent=None):
+            return fitted(effects, 9000.0)
+
+    found = [fitted(wrong, 3000.0), *(fitted((p,), 6000.0) for p in wrong)]
+    laws, settings = [*wrong, *true, other], CONFIG["diagnosis"]["search"]
+    tried = _paired_anew(Screening(), fitted((), 20_000.0), found, laws, settings)
+    assert keys(min(tried, key=lambda h: sum(h.chi2)).effects) == keys(true)
+    # beside what the set has elsewhere
+    found = [fitted((other, *wrong), 3000.0)]
+    tried = _paired_anew(Screening(), fitted((), 20_000.0), found, laws, settings)
+    assert keys(min(tried, key=lambda h: sum(h.chi2)).effects) == keys((other, *true))
+    apart = [fitted((wrong[0], other), 3000.0)]
+    assert _paired_anew(Screening(), fitted((), 20_000.0), apart, laws, settings) == []
 
 
 def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(monkeypatch):

@@ -119,19 +119,34 @@ def test_a_relaxation_forgets_and_a_slip_does_not():
     assert stopped("q_ty", 0.2)(_variable(path), RANGES, 0.01)[-1] == pytest.approx(1)
 
 
+def _all_families(samples):
+    """Families of the strap, with all their variables at random in ``samples``."""
+    system, rng = shipped_system("strap"), np.random.default_rng(3)
+    names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
+    names += ["place_x", "place_y", "heading", *POSTURE, *RATES.values(), "time"]
+    names += [f"acceleration_{axis.name}" for axis in system.axes]
+    of = {n: Variable(n, "m", 0.1, rng.standard_normal(samples)) for n in names}
+    ones = dict.fromkeys([*(axis.joint for axis in system.axes), "base_x", "base_y", "base_yaw"], 1.0)
+    return families(system, names, ones, ones, 12.0), of
+
+
+def test_a_damping_has_no_force_at_rest():
+    """A constant force is a preload, however much of a range of rates lies on one side of rest."""
+    found, of = _all_families(3)
+    still = {n: replace(x, values=np.zeros(3)) for n, x in of.items()}
+    uneven = {n: Range(-2.0, 1.0) for n in of}
+    lossy = [f for f in found if f.name in ("dissipative", "machine dissipative", "from a rate")]
+    assert {f.name for f in lossy} == {"dissipative", "machine dissipative", "from a rate"}
+    for term in itertools.chain(*(row for family in lossy for row in family.terms)):
+        np.testing.assert_allclose(term.basis(still, uneven, 0.01), 0, atol=1e-12, err_msg=term.name)
+
+
 def test_terms_of_one_name_are_one_function():
     """What a term makes of a trial is kept by its name: a name without its variable took the first axis for all."""
-    system = shipped_system("strap")
-    places = ["place_x", "place_y", "heading", *POSTURE]
-    names = [f"{x}_{axis.name}" for axis in system.axes for x in "qv"]
-    names += [*places, *RATES.values(), *(f"acceleration_{axis.name}" for axis in system.axes), "time"]
-    rng = np.random.default_rng(3)
-    of = {n: Variable(n, "m", 0.1, rng.standard_normal(50)) for n in names}
-    wide = {n: Range(-2.0, 2.0) for n in names}
-    joints = [*(axis.joint for axis in system.axes), "base_x", "base_y", "base_yaw"]
-    ones = dict.fromkeys(joints, 1.0)
+    found, of = _all_families(50)
+    wide = {n: Range(-2.0, 2.0) for n in of}
     values = {}
-    terms = [t for f in families(system, names, ones, ones, 12.0) for row in f.terms for t in row]
+    terms = [t for f in found for row in f.terms for t in row]
     assert len(terms) > 1000
     for term in terms:
         force = term.basis(of, wide, 0.01)

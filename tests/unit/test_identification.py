@@ -18,6 +18,7 @@ from real2sim.inference.cost import FAILED_COST, CostScales, TrialCost
 from real2sim.inference.parameters import PARAMETERS, Bounds, as_dict, as_vector, unit
 from real2sim.recording.trial import load_trial
 from real2sim.study.fit import best_of, progress_of, restart_seed
+from scipy.optimize import lsq_linear
 
 SCALES = CostScales(0.041, 0.080)
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
@@ -137,6 +138,27 @@ def test_search_stays_within_bounds():
     )[0]
     assert (result.parameters >= tight.lower * (1 - 1e-9)).all()
     assert set(tight.at_bound(result.parameters, 0.02)) == set(PARAMETERS)
+
+
+@pytest.mark.parametrize("collinear", [0.0, 0.99], ids=["own ways", "nearly one way"])
+@pytest.mark.parametrize("room", [10.0, 0.3, 0.03], ids=["far bounds", "some bounds", "near bounds"])
+def test_a_bounded_step_leaves_least_of_all_steps_inside(collinear, room):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        slopes = rng.normal(size=(60, 8)) * 10.0 ** rng.uniform(-1, 3, size=8)
+        slopes[:, 1:] = (1 - collinear) * slopes[:, 1:] + collinear * slopes[:, :1]
+        residuals = rng.normal(size=60) + slopes @ rng.normal(size=8)
+        # a parameter at its bound, one that does not move at all, and one without bounds
+        lower, upper = -room * rng.uniform(0, 1, size=8), room * rng.uniform(0, 1, size=8)
+        lower[0], lower[1], upper[1], lower[2], upper[2] = 0.0, 0.0, 0.0, -np.inf, np.inf
+        step = least_squares.bounded_step(slopes.T @ slopes, slopes.T @ residuals, lower, upper)
+        assert (step >= lower).all()
+        assert (step <= upper).all()
+        free = upper > lower
+        best = lsq_linear(slopes[:, free], -residuals, (lower[free], upper[free]), method="bvls")
+        left = np.sum((residuals + slopes @ step) ** 2)
+        assert left == pytest.approx(2 * best.cost, rel=1e-6)
+        assert left <= np.sum(residuals**2), "no step at all is inside too"
 
 
 def test_restart_seeds_differ_by_person_trial_and_restart():

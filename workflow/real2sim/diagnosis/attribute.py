@@ -238,6 +238,7 @@ def _several(
         if min(sum(h.chi2) for h in out) in {sum(h.chi2) for h in grown}:
             out += _swapped(search, out, everything, settings)
         out += _swapped_together(search, out, everything)
+        out += _paired_anew(search, plain, out, everything, settings)
     return _best_of_each([*out, *_plainer(search, plain, out, everything), *_pruned(search, out)])
 
 
@@ -598,8 +599,7 @@ def _swapped(
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
     for member in best.effects:
-        taken = not any(placed is member for placed in best.effects)
-        if taken or (search.is_noise(best) and not are_confusable(member.effect.name, DELAY)):
+        if not any(placed is member for placed in best.effects):
             continue
         kept = [i for i, placed in enumerate(best.effects) if placed is not member]
         near = _named(best, next(i for i, placed in enumerate(best.effects) if placed is member))
@@ -645,6 +645,44 @@ def _swapped_together(
     # friction that never slips has no slope to be started on: every effect is refitted, from its best form
     starts = _first_of_each(sorted(starts, key=lambda start: start[2]), lambda start: start[0][0].effect.name)
     return in_threads(search.threads, lambda start: search.fit(start[0], start[1]), starts)
+
+
+def _paired_anew(
+    search: Search,
+    plain: Hypothesis,
+    found: Sequence[Hypothesis],
+    places: Sequence[Placed],
+    settings: DiagnosisSearchSettings,
+) -> list[Hypothesis]:
+    """The best set with its members along one axis replaced by other pairs of laws there.
+
+    Laws along one axis stand in for each other, and what is best alone need not be one of the best two. So each law of
+    the axis is fitted beside what the set has elsewhere, every other one is screened beside it, and those pairs that
+    promise most are refitted.
+    """
+    best = min(found, key=lambda h: sum(h.chi2))
+    fitted = {_keys(h.effects): h for h in found}
+    out: list[Hypothesis] = []
+    along = [p.where.axes for p in best.effects if len(p.where.axes) == 1]
+    for axes in dict.fromkeys(axes for axes in along if along.count(axes) > 1):
+        kept = [i for i, placed in enumerate(best.effects) if placed.where.axes != axes]
+        effects, z = _with_members(best, kept)
+        smaller = plain if not kept else fitted.get(_keys(effects)) or search.fit(effects, z)
+        laws = [p for p in places if p.where.axes == axes]
+        firsts = _first_of_each(search.screen(smaller, laws), lambda s: s.effects[-1].effect.name)
+        known = [fitted.get(_keys(s.effects)) for s in firsts]
+        new = in_threads(
+            search.threads,
+            search.fit_screened,
+            [s for s, h in zip(firsts, known, strict=True) if h is None],
+        )
+        singles = [*(h for h in known if h is not None), *new]
+        options = [s for single in singles for s in search.screen(single, _without(laws, single))]
+        options = [s for s in options if _keys(s.effects) not in fitted]
+        unlike = _first_of_each(sorted(options, key=lambda s: s.predicted), lambda s: _keys(s.effects))
+        out += new
+        out += in_threads(search.threads, search.fit_screened, unlike[: settings["pair_refits"]])
+    return out
 
 
 def _one_by_one(

@@ -297,14 +297,15 @@ class Search:
         return bool(self.excess(hypothesis) < self._settings["pair_excess_sigma"])
 
     def fit_screened(self, screened: Screened) -> Hypothesis:
-        """Refit from where the tangent points to, or from where it was taken if the simulation does not bear that.
+        """Refit from where the tangent points to, and from where it was taken if that was better than what came out.
 
         Once more where even the start without the strap's old parameters is better than what came out.
         """
         fitted = self.fit(screened.effects, screened.start, tangent=screened.tangent.whole)
         origin = screened.tangent.z
-        if fitted.chi2[0] >= FAILED:
-            fitted = self.fit(screened.effects, origin)
+        if fitted.chi2[0] > float(np.sum(screened.tangent.residuals**2)):
+            again = self.fit(screened.effects, origin)
+            fitted = again if again.chi2[0] < fitted.chi2[0] else fitted
         own = len(screened.effects[-1].effect.parameters)
         return self.refit_fresh(screened.effects, origin[: len(origin) - own], fitted)
 

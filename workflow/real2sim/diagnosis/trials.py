@@ -357,23 +357,40 @@ def candidates_of(found: Found, options: DiagnosisSettings) -> tuple[Candidate, 
     ]
 
 
+def _to_converge(
+    decision: Decision, sets: Sequence[Candidate], converged: set[int], options: DiagnosisSettings
+) -> int | None:
+    """Index of the set that has to converge before the decision stands: the named one, then those that could be.
+
+    A set that was cut short is not told from one that was not: the likeliest set of every answer that would be in the
+    group (``ambiguity_probability``) converges too. None where all have.
+    """
+    # what leaves far too much does not become the answer by its last percent
+    if decision.verdict == NONE or decision.probabilities[UNKNOWN] > options["search"]["certain_unknown"]:
+        return None
+    order = np.argsort(-decision.sets, kind="stable").tolist()
+    named = order[:1] if decision.chosen is None else [decision.chosen]
+    least, answers = options["calibration"]["ambiguity_probability"], set()
+    for i in (*named, *(i for i in order if decision.sets[i] > least)):
+        if sets[i].answer not in answers and i not in converged:
+            return int(i)
+        answers.add(sets[i].answer)
+    return None
+
+
 def conclude(found: Found, options: DiagnosisSettings) -> Decision:
     """Return the decision, once the sets that it rests on have converged; changes those hypotheses in place.
 
     Without each of its effects the named set has been refitted too.
     """
     pair, attribution = found.pair, found.attribution
-    converged: set[int] = set()
+    converged = {i for i, h in enumerate(attribution.hypotheses) if h.converged}
+    refits = 0
     while True:
         plain, sets = candidates_of(found, options)
         decision = decide(plain, sets, found.samples, options["calibration"])
-        likeliest = decision.chosen
-        if likeliest is None:
-            likeliest = int(np.argmax(decision.sets)) if len(sets) else -1
-        # what leaves far too much does not become the answer by its last percent
-        far = decision.probabilities[UNKNOWN] > options["search"]["certain_unknown"]
-        known = decision.verdict == NONE or far or likeliest in converged | {-1}
-        if known or len(converged) == options["search"]["final_refits"]:
+        open_set = _to_converge(decision, sets, converged, options)
+        if open_set is None or refits == options["search"]["final_refits"]:
             fitted = attribution.hypotheses
             if decision.chosen is None:
                 return decision
@@ -382,6 +399,7 @@ def conclude(found: Found, options: DiagnosisSettings) -> Decision:
                 return decision
             fitted.extend(parts)
             continue
-        converged.add(likeliest)
-        hypothesis = attribution.hypotheses[likeliest]
-        attribution.hypotheses[likeliest] = finished(pair, hypothesis, options["search"])
+        converged.add(open_set)
+        refits += 1
+        hypothesis = attribution.hypotheses[open_set]
+        attribution.hypotheses[open_set] = finished(pair, hypothesis, options["search"])

@@ -11,7 +11,7 @@ products keep their value at the edge: a polynomial that is let go there explode
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 from itertools import product as product_of
 
@@ -199,6 +199,17 @@ def polynomial(name: str, order: int) -> Basis:
         x = (of[name].values - ranges[name].middle) / ranges[name].half
         inside = np.clip(x, -1, 1)
         return np.asarray(legendre.legval(inside, series) + legendre.legval(inside, slope) * (x - inside))
+
+    return basis
+
+
+def from_rest(name: str, order: int) -> Basis:
+    """Return the polynomial of a rate less its value at rest: a damping has no force there."""
+    whole = polynomial(name, order)
+
+    def basis(of: Mapping[str, Variable], ranges: Mapping[str, Range], step_s: float) -> np.ndarray:
+        still = {name: replace(of[name], values=np.zeros(1))}
+        return whole(of, ranges, step_s) - whole(still, ranges, step_s)
 
     return basis
 
@@ -428,7 +439,7 @@ def _own(axis: str, joint: str) -> Iterator[Family]:
     q, v = f"q_{axis}", f"v_{axis}"
     elastic = [_legendre(q, joint, k) for k in OWN_ORDERS]
     yield Family("elastic", "interface", "elastic", (axis,), (q,), _one(elastic))
-    lossy = [*_steps(v, joint), times(joint, {v: 1}, [v]), *(_legendre(v, joint, k) for k in ORDERS)]
+    lossy = _losses(v, joint)
     yield Family("dissipative", "interface", "dissipative", (axis,), (v,), _one(lossy))
     both = [*lossy, *_gains(q, joint, v), times(joint, {q: 1}, [v], 0.5)]
     both += [
@@ -453,9 +464,11 @@ def _legendre(name: str, joint: str, order: int) -> Term:
     return Term(label, joint, polynomial(name, order), _smooth(order))
 
 
-def _steps(v: str, joint: str) -> list[Term]:
-    """Return rounded signs of a rate, from sharp to round."""
-    return [Term(f"tanh({v} / {s:g} of a large one)", joint, step(v, s)) for s in SHARPNESS]
+def _losses(v: str, joint: str) -> list[Term]:
+    """Return functions of a rate, none of which has a force at rest: signs from sharp to round, and polynomials."""
+    signs = [Term(f"tanh({v} / {s:g} of a large one)", joint, step(v, s)) for s in SHARPNESS]
+    smooth = [Term(f"P{k}({v}) - P{k}(0)", joint, from_rest(v, k), _smooth(k)) for k in ORDERS]
+    return [*signs, times(joint, {v: 1}, [v]), *smooth]
 
 
 def _with_history(stage: str, axis: str, joint: str, q: str) -> Iterator[Family]:
@@ -526,8 +539,7 @@ def _coupled(axis: str, joint: str, other: str) -> Iterator[Family]:
     q, v, qo, vo = f"q_{axis}", f"v_{axis}", f"q_{other}", f"v_{other}"
     elastic = [_legendre(qo, joint, k) for k in ORDERS]
     yield Family("from a coordinate", "interface", "coupling", (axis,), (qo,), _one(elastic))
-    lossy = [*_steps(vo, joint), times(joint, {vo: 1}, [vo]), *(_legendre(vo, joint, k) for k in ORDERS)]
-    yield Family("from a rate", "interface", "coupling", (axis,), (vo,), _one(lossy))
+    yield Family("from a rate", "interface", "coupling", (axis,), (vo,), _one(_losses(vo, joint)))
     gain = _gains(qo, joint, v)
     yield Family("damping by another coordinate", "interface", "coupling", (axis,), (qo, v), _one(gain))
     swept = [times(joint, {q: 1, vo: 1}), times(joint, {q: 2, vo: 1}, weight=0.5), times(joint, {v: 1}, [vo])]
@@ -563,10 +575,5 @@ def _machine(joint: str, name: str) -> Iterator[Family]:
     place = [_legendre(name, joint, k) for k in (0, *ORDERS)]
     yield Family("machine place", "robot", "place", (joint,), (name,), _one(place))
     rate = RATES[name]
-    lossy = [
-        *_steps(rate, joint),
-        times(joint, {rate: 1}, [rate]),
-        *(_legendre(rate, joint, k) for k in ORDERS),
-    ]
-    yield Family("machine dissipative", "robot", "dissipative", (joint,), (rate,), _one(lossy))
+    yield Family("machine dissipative", "robot", "dissipative", (joint,), (rate,), _one(_losses(rate, joint)))
     yield from _with_history("robot", joint, joint, name)

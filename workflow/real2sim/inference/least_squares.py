@@ -11,13 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares, lsq_linear
 
 from real2sim.inference.parameters import Bounds
 from real2sim.inference.result import SearchResult
 
 # Finite-difference step in ln-parameters: truncation and round-off of a replay balance over a wide range around it
 STEP = 1e-4
+# Rounds in which steps are held at bounds and let go, before scipy takes over, and what it adds to curvatures of 1
+_EXCHANGES, _RIDGE = 10, 1e-12
 # Residual that stands for each one of a simulation that failed
 _FAILED = 1e3
 
@@ -125,20 +128,51 @@ def minimise(
 
 
 def bounded_step(normal: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the Gauss-Newton step (n,) of normal equations (n, n) and slope (n,) that stays inside bounds (n,).
+    """Return the Gauss-Newton step (n,) that minimises s'Ns + 2 b's inside bounds (n,) each, which hold zero.
 
-    What meets a bound stays there and is made good by the others.
+    ``normal`` (n, n) is N, positive definite, and ``slope`` (n,) b. Steps that meet a bound are held there and let go
+    where the slope leads back inside; where that does not come to an end, scipy's BVLS solves it (Stark, Parker,
+    Comput. Stat. 10 (1995) 129).
     """
-    free, step = np.ones(len(slope), bool), np.zeros(len(slope))
-    for _ in range(4):
-        part = np.ix_(free, free)
-        step[free] = -np.linalg.solve(normal[part], slope[free] + normal[np.ix_(free, ~free)] @ step[~free])
+    held, step = np.zeros(len(slope), bool), np.zeros(len(slope))
+    for _ in range(_EXCHANGES):
+        free = ~held
+        step[free] = -np.linalg.solve(
+            normal[np.ix_(free, free)], slope[free] + normal[np.ix_(free, held)] @ step[held]
+        )
         outside = free & ((step < lower) | (step > upper))
         step = np.clip(step, lower, upper)
-        if not outside.any():
-            break
-        free &= ~outside
-    return step
+        if outside.any():
+            held |= outside
+            continue
+        back = held & _leads_inside(normal, slope, step, lower, upper)
+        if not back.any():
+            return step
+        held &= ~back
+    return _bvls(normal, slope, lower, upper)
+
+
+def _leads_inside(
+    normal: np.ndarray, slope: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Return of each coordinate (n,) of a step whether the square falls on its way inside from a bound."""
+    uphill = normal @ step + slope
+    rounding = 1e-12 * (np.abs(normal) @ np.abs(step) + np.abs(slope))
+    inside = ((step <= lower) & (uphill < -rounding)) | ((step >= upper) & (uphill > rounding))
+    return np.asarray(inside)
+
+
+def _bvls(normal: np.ndarray, slope: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the same by scipy, which asks for bounds that leave room."""
+    step, room = np.clip(np.zeros(len(slope)), lower, upper), upper > lower
+    # coordinates of one curvature: those of laws and of parameters are many powers of ten apart
+    unit = np.sqrt(np.diag(normal)[room])
+    scaled = normal[np.ix_(room, room)] / np.outer(unit, unit)
+    factor = np.linalg.cholesky(scaled + _RIDGE * np.eye(len(unit)))
+    target = solve_triangular(factor, -(slope + normal @ (step * ~room))[room] / unit, lower=True)
+    bounds = lower[room] * unit, upper[room] * unit
+    step[room] = lsq_linear(factor.T, target, bounds, method="bvls", max_iter=10 * len(unit)).x / unit
+    return np.asarray(np.clip(step, lower, upper))
 
 
 class _Visited:

@@ -42,16 +42,21 @@ class JumpRule:
         )
 
 
-def spikes(paths: np.ndarray, rule: JumpRule, sd: float | None = None) -> np.ndarray:
+def spikes(
+    paths: np.ndarray, rule: JumpRule, sd: float | None = None, simulated: np.ndarray | None = None
+) -> np.ndarray:
     """Return where marker paths, or residuals of them, (n, k, 3) jump, (n, k): fast content beyond ``sd`` usual ones.
 
     ``sd`` is that of a path by default. With a jump comes what the filter smears around it. Where a path begins or
     ends, also at a gap, a filter has one side only and leaves most of the noise: nothing is looked for there.
+    ``simulated`` (n, k, 3) are the paths that residuals were taken from: as much as these have of fast content of their
+    own, where a stop is hit, say, may be an error of the simulation.
     """
     fast = np.abs(_fast(paths, rule))
     usual = np.median(fast, axis=0) / 0.6745
-    least = np.maximum(usual, rule.options["least_usual_m"])
-    hit = (fast > (rule.options["path_sd"] if sd is None else sd) * least).any(axis=2)
+    least = (rule.options["path_sd"] if sd is None else sd) * np.maximum(usual, rule.options["least_usual_m"])
+    own = 0.0 if simulated is None else np.abs(_fast(simulated, rule))
+    hit = (fast - own > least).any(axis=2)
     return _smeared(hit, paths, rule, "smear_s")
 
 

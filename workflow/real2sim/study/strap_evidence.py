@@ -416,7 +416,7 @@ class StrapEvidence:
         rate = 1 / float(self.trial.time_s[1] - self.trial.time_s[0])
         options, known = self.setup.settings["diagnosis"]["jumps"], self.context.spikes
         rule = JumpRule(rate, self.setup.settings["ingest"]["cutoff_hz"], options)
-        found = spikes(self.trial.interface - paths, rule, options["residual_sd"]) | known
+        found = spikes(self.trial.interface - paths, rule, options["residual_sd"], paths) | known
         if not (found & ~known).any():
             return self
         context = replace(self.context, spikes=found)

@@ -16,7 +16,7 @@ MANY_PEOPLE = 40
 DASH = "\N{EN DASH}"
 
 
-# By the name of the figure's file: title, and what it shows with units and place in the paper
+# By the name of the figure's file: title; what to see in it, what it shows with units, its place in the paper
 FIGURES = {
     "gap": (
         "The gap of everyone",
@@ -29,62 +29,71 @@ FIGURES = {
     ),
     "paper_gap": (
         "Causes beside the paper",
-        "By how much the cohort of each cause misses what the paper prints, over what causes usually miss it by (no "
-        "unit), nearest at the top. Circle: the five people; bar: 90 % of resamples of them. Filled: the numbers "
-        "cannot tell it from the nearest.",
+        "The further left a cause, the more of the paper's numbers its cohort comes near; filled circles cannot be "
+        "told from the nearest. By how much the cohort of each cause misses what the paper prints, over what causes "
+        "usually miss it by (no unit), nearest at the top. Circle: the five people; bar: 90 % of resamples of them.",
     ),
     "tightness": (
         "Tightness sweep",
-        "Allowable motion against normalised tightness (no unit; 0 is the selected level, positive is tighter). (a, "
-        "b) Range of translation in mm. (c) Range of pelvic rotation of either side in deg, with the pooled "
-        "two-segment regression, its slopes in deg per unit of normalised tightness, and the knee with its interval "
-        "(grey band). Paper: Fig. 3.",
+        "The slopes say how much motion a further tightening takes away before the knee and beyond it. Allowable "
+        "motion against normalised tightness (no unit; 0 is the selected level, positive is tighter). (a, b) Range of"
+        " translation in mm. (c) Range of pelvic rotation of either side in deg, with the pooled two-segment "
+        "regression, its slopes in deg per unit of normalised tightness, and the knee with its interval (grey band). "
+        "Paper: Fig. 3.",
     ),
     "convergence": (
         "Convergence",
-        "Best cost J so far (no unit, logarithmic) against cost evaluations, a row per person and a column per "
-        "dynamic trial; restarts grey, the best one blue. Dashed: what measurement noise alone costs, from the "
-        "person's neutral trial. Paper: Fig. 4, top.",
+        "A best curve that is flat at its end has converged; restarts that end there too agree on the minimum, and "
+        "one that ends on the dashed line leaves nothing but noise. Best cost J so far (no unit, logarithmic) against"
+        " cost evaluations, a row per person and a column per dynamic trial; restarts grey, the best one blue. "
+        "Dashed: what measurement noise alone costs, from the person's neutral trial. Paper: Fig. 4, top.",
     ),
     "icc": (
         "Shareability",
-        "(a) ICC(1,1) (no unit) of each parameter with the cluster bootstrap's percentile interval and the exact F "
-        "interval; zones are the class limits. (b) Every fit over the geometric mean of all (no unit, logarithmic), "
-        "shaded by class, whose first letter stands at the right. Paper: Fig. 4, middle.",
+        "A parameter that is low in (a), and whose fits lie together in (b) whoever they are of, is shared; one that "
+        "is high in (a), and whose fits lie together only person by person, is a person's own. (a) ICC(1,1) (no unit)"
+        " of each parameter with the cluster bootstrap's percentile interval and the exact F interval; zones are the "
+        "class limits. (b) Every fit over the geometric mean of all (no unit, logarithmic), shaded by class, whose "
+        "first letter stands at the right. Paper: Fig. 4, middle.",
     ),
     "coverage": (
         "What the intervals are worth",
-        "Simulated cohorts with a known ICC: how often each method's 95 % interval holds it, against people, and how "
-        "often a truly common and a truly distinct parameter are classed right (shares, no unit). Simulation, no "
-        "measurement and no phantom.",
+        "An interval is worth what it says where its curve lies at 95 %. Simulated cohorts with a known ICC: how "
+        "often each method's 95 % interval holds it, against people, and how often a truly common and a truly "
+        "distinct parameter are classed right (shares, no unit). Simulation, no measurement and no phantom.",
     ),
     "loso": (
         "Leave one subject out",
-        "What the prior of the others costs the person left out: overhead over their own best fit in %, for cost J "
-        "and for position RMSE. Paper: Fig. 4, bottom, and eq. 7.",
+        "Where a bar is near zero, the prior of the others serves a person as well as their own fit. What the prior "
+        "of the others costs the person left out: overhead over their own best fit in %, for cost J and for position "
+        "RMSE. Paper: Fig. 4, bottom, and eq. 7.",
     ),
     "interface": (
         "Interface while walking",
-        "Where the interface midpoint goes relative to the pelvis, from above (mm), while walking with the robot: "
-        "measured, and simulated under every interface (first seed), with 95 % ellipses; γ is the ratio of the "
-        "spreads forward and to the side. Paper: Fig. 5.",
+        "An ellipse as large and as long as the measured one says that the simulated strap lets a person move as the "
+        "real one does. Where the interface midpoint goes relative to the pelvis, from above (mm), while walking with"
+        " the robot: measured, and simulated under every interface (first seed), with 95 % ellipses; γ is the ratio "
+        "of the spreads forward and to the side. Paper: Fig. 5.",
     ),
     "gait": (
         "Gait",
-        "Hip, knee and ankle angle (deg) over the gait cycle (%), measured and simulated, with and without the robot; "
-        "mean and SD over cycles, first seed. (g) What the robot changes in the range of motion (deg), a point per "
-        "seed. Paper: Fig. 6.",
+        "The robot moves the simulated curves the same way as the measured ones, and as far, where the simulated "
+        "person adapts as the real one does. Hip, knee and ankle angle (deg) over the gait cycle (%), measured and "
+        "simulated, with and without the robot; mean and SD over cycles, first seed. (g) What the robot changes in "
+        "the range of motion (deg), a point per seed. Paper: Fig. 6.",
     ),
     "speed": (
         "Speed or strap",
-        "Change of the range of motion (deg) of hip and knee against the change of walking speed (%): a point per "
-        "strap, cap, robot and seed, filled where the simulated person takes up the speed that the robot allows. The "
-        "line is the same person as slow without a robot: what lies on it is speed, what lies off it is the strap.",
+        "Changes on the line come from walking slower; what lies off it is the strap. Change of the range of motion "
+        "(deg) of hip and knee against the change of walking speed (%): a point per strap, cap, robot and seed, "
+        "filled where the simulated person takes up the speed that the robot allows. The line is the same person as "
+        "slow without a robot.",
     ),
     "wrench": (
         "Force of the strap",
-        "Force (N) and torque (Nm) of the strap on the robot's interface over the gait cycle (%), where a sensor "
-        "logged them and as the simulated strap exerts them without its stops; mean over strides, first seed.",
+        "Peaks as high and as early as the logged ones say that stiffness and damping found from motion also tell "
+        "force. Force (N) and torque (Nm) of the strap on the robot's interface over the gait cycle (%), where a "
+        "sensor logged them and as the simulated strap exerts them without its stops; mean over strides, first seed.",
     ),
 }
 

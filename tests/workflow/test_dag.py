@@ -225,6 +225,11 @@ def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
             "paths.published",
             "nothing at resources/elsewhere",
         ),
+        (
+            {"refinement": {"priors": "resources/elsewhere/priors.csv"}},
+            "refinement.priors",
+            "nothing at resources/elsewhere/priors.csv",
+        ),
         # a disk that is not mounted must not end in the phantom's study
         ({"paths": {"subjects": "/mnt/lab/people"}}, "paths.subjects", "nothing at /mnt/lab/people"),
         (

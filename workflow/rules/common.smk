@@ -65,17 +65,20 @@ def load_study(raw_config):
         raise nobody_to_calibrate(study, people)
     check_path(study, sources, "robot", Path.is_file, "the MJCF of the robot (docs/how-to/robot.md)")
     check_path(study, sources, "published", Path.is_dir, "the folder of the paper's tables")
+    # what lies below results/ may not have been made yet
+    if not Path(study["refinement"]["priors"]).is_relative_to("results"):
+        check_path(study, sources, "priors", Path.is_file, "a table of priors", part="refinement")
     check_overrides(study["quality"]["override"], people, sources)
     return study, people, phantom
 
 
-def check_path(study, sources, key, is_there, what):
-    """Raise InputError where a path of the configuration leads nowhere.
+def check_path(study, sources, key, is_there, what, part="paths"):
+    """Raise InputError where a path of a part of the configuration leads nowhere.
 
     Rules that need it would only miss an input, results of before would stand, and without a folder of people the
     phantom would take their place.
     """
-    path = study["paths"][key]
+    path = study[part][key]
     if is_there(Path(path)):
         return
     remedy = "Correct the path, or leave the key out for what is shipped"
@@ -83,7 +86,7 @@ def check_path(study, sources, key, is_there, what):
         remedy = "Correct the path or make the folder; give `--config cohort=phantom` to run the phantom"
     raise InputError(
         sources,
-        f"paths.{key}",
+        f"{part}.{key}",
         f"nothing at {path}",
         f"{what}, relative to the folder in which Snakemake runs",
         f"{remedy}.",

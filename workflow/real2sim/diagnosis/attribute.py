@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# A late clock, a late path and a filter leave equally little: where one explains everything, each of them may be true
-DELAY = "sync_offset"
-
 
 @dataclass
 class Attribution:
@@ -591,10 +588,9 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 def _swapped(
     search: Search, found: Sequence[Hypothesis], places: Sequence[Placed], settings: DiagnosisSearchSettings
 ) -> list[Hypothesis]:
-    """The best set with each member replaced by its rivals in the same place, as long as more than noise is left.
+    """The best set with each member replaced by its rivals in the same place, also where it leaves only noise.
 
     A member that was found first may hold the place of another: friction is half of a hysteresis, and the other way.
-    Timing effects are tried for each other however little is left.
     """
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []

@@ -81,7 +81,7 @@ def check_path(study, sources, key, is_there, what, part="paths"):
     path = study[part][key]
     if is_there(Path(path)):
         return
-    remedy = "Correct the path, or leave the key out for what is shipped"
+    remedy = "Correct the path, or leave the key out for the default"
     if key == "subjects":
         remedy = "Correct the path or make the folder; give `--config cohort=phantom` to run the phantom"
     raise InputError(

@@ -18,6 +18,7 @@ from real2sim.verification.claims import Row, claim, figure, print_table
 from real2sim.verification.score_laws import STRATA as UNLISTED
 from real2sim.verification.score_laws import SURE, answers_rightly, score_unlisted, unlisted_by_form
 from real2sim.verification.score_sizes import held_sizes
+from real2sim.verification.suite.plan import STRATA
 
 # Family of each effect: where another equation of the same family is the truth, its name is right
 LABELS = (*EFFECT_NAMES, NONE, UNKNOWN)
@@ -75,15 +76,8 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
     rows, failed = _rows(answers, truths), _failed(answers)
     by = {
         stratum: [r for r in rows if r["case"]["stratum"] == stratum]
-        for stratum in (
-            "null",
-            "null_hard",
-            "in_library",
-            "form_mismatch",
-            "mixture",
-            "out_of_library",
-            "shared_axis",
-        )
+        for stratum in STRATA
+        if stratum not in UNLISTED
     }
     listed = [row for own in by.values() for row in own]
     answered = [True] * len(rows) + [False] * len(failed)

@@ -58,7 +58,8 @@ GROUPS = (
     ("outliers",),
 )
 
-# Effects that can share an axis with another one in `shared_axis`: laws of the interface along one axis
+# Effects that can share an axis with another one in `shared_axis`: laws of the interface along one axis. Without
+# `migration`, which is one too: with it, the seeds that have been answered would draw other pairs.
 OF_ONE_AXIS = (
     "slack",
     "one_sided",

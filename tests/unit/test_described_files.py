@@ -184,6 +184,45 @@ def test_damaged_recordings_are_refused_with_a_code(tmp_path, system, suffix):
     assert not incomplete
 
 
+@pytest.mark.parametrize(
+    ("header", "rows", "code", "place"),
+    [
+        # names of rows, as R writes them; a comma in a cell; a cell that is missing
+        ("time_s,arm_lift_m,arm_roll_rad", "{i},{t},{t},{t}", "row_cells", "line 2"),
+        ("time_s,arm_lift_m,arm_roll_rad,note", "{t},{t},{t},a,b", "row_cells", "line 2"),
+        ("time_s,arm_lift_m,arm_roll_rad,note", "{t},{t},{t}", "row_cells", "line 2"),
+        ("time_s,arm_lift_m,arm_roll_rad,arm_lift_m", "{t},{t},{t},{t}", "names", "names of the columns"),
+        ("time_s,arm_lift_m,arm_roll_rad", "{t},{t},1_000", "not_a_number", "column arm_roll_rad"),
+        ("time_s,arm_lift_m,arm_roll_rad", "{t},{t},True", "not_a_number", "column arm_roll_rad"),
+        ("time_s,arm_lift_m,arm_roll_rad", "{t},{t},inf", "not_finite", "column arm_roll_rad, sample 1"),
+        ("time_s,arm_lift_m,arm_roll_rad", "{t},{t},1e300", "not_finite", "column arm_roll_rad, sample 1"),
+    ],
+)
+def test_a_table_that_pandas_would_read_as_another_is_refused(tmp_path, system, header, rows, code, place):
+    path = tmp_path / "train.csv"
+    lines = [rows.format(i=i + 1, t=i / 100) for i in range(30)]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    with pytest.raises(InputError) as caught:
+        r2s.Recording.read(system, path)
+    assert (caught.value.code, caught.value.place) == (code, place)
+
+
+def test_nothing_is_invented_where_messages_are_missing(tmp_path, system):
+    messages = list(two_topics(lambda joint, i, at: stamped(at), 0.0, n=300))
+    whole = r2s.Recording.read(system, write_json(tmp_path / "whole.mcap", messages))
+    hole = [m for m in messages if not 1.0 < (m[1] - messages[0][1]) / SECOND < 1.5]
+    recording = r2s.Recording.read(system, write_json(tmp_path / "hole.mcap", hole))
+    column = recording.columns["arm_lift_m"]
+    unknown = ~np.isfinite(column)
+    assert 45 <= unknown.sum() <= 51
+    known = np.isfinite(column)
+    np.testing.assert_allclose(column[known], whole.columns["arm_lift_m"][: len(column)][known], atol=1e-3)
+    # two messages in a row that are lost leave no hole
+    few = [m for i, m in enumerate(messages) if i not in (100, 101, 102, 103)]
+    recording = r2s.Recording.read(system, write_json(tmp_path / "few.mcap", few))
+    assert np.isfinite(recording.columns["arm_lift_m"]).all()
+
+
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
 def test_what_is_no_recording_is_not_waited_for(tmp_path, system, make):
     make(tmp_path / "train.csv")

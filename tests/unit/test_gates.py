@@ -270,6 +270,54 @@ def test_swap_on_sliding_skin_is_still_exchanged_back():
     assert found == [swap]
 
 
+@pytest.mark.parametrize(
+    ("span", "gaps", "unsure"),
+    [
+        # seen on both sides of a gap of one of the two, of a marker that tells which is which, at the record's end
+        ((300, 900), {"IF_R": [(500, 520)]}, ()),
+        ((300, 900), {"ASIS_L": [(500, 503)]}, ()),
+        ((0, 1500), {"ASIS_L": [(700, 703)], "IF_L": [(0, 40), (1480, 1500)]}, ()),
+        # it ends within a gap, and nobody knows where
+        ((300, 900), {"IF_R": [(890, 930)]}, ((890, 930),)),
+        ((300, 900), {"IF_L": [(280, 310)], "ASIS_R": [(895, 905)]}, ((280, 310), (895, 905))),
+    ],
+)
+def test_a_gap_does_not_hide_that_labels_are_exchanged(span, gaps, unsure):
+    clean, _ = _pelvis(1500, 0.0)
+    reference = markers.reference_distances({name: values[:1] for name, values in clean.items()})
+    positions = markers.repaired(clean, [markers.Swap("IF_L", "IF_R", *span)])
+    for name, runs in gaps.items():
+        for start, stop in runs:
+            positions[name][start:stop] = np.nan
+    (swap,) = markers.find_swaps(positions, reference, **CONFIG["ingest"]["swap"])
+    assert swap.unsure == unsure
+    back = markers.repaired(positions, [swap])
+    for name in ("IF_L", "IF_R"):
+        known = np.isfinite(back[name][:, 0])
+        np.testing.assert_array_equal(back[name][known], clean[name][known])
+        assert (~known).sum() <= sum(stop - start for runs in gaps.values() for start, stop in runs)
+    # without an exchange, a gap is no reason for one
+    for name in positions:
+        clean[name][~np.isfinite(positions[name])] = np.nan
+    assert markers.find_swaps(clean, reference, **CONFIG["ingest"]["swap"]) == []
+
+
+def test_a_gap_that_was_filled_with_its_last_sample_is_a_gap():
+    positions, _ = _pelvis(600, 0.0)
+    noise = np.random.default_rng(3)
+    positions = {name: values + noise.normal(0, 2e-4, values.shape) for name, values in positions.items()}
+    assert markers.find_frozen(positions) == []
+    positions["IF_L"][101:140] = positions["IF_L"][100]
+    positions["ASIS_R"][120:130] = positions["ASIS_R"][119]
+    frozen = markers.find_frozen(positions)
+    assert frozen == [markers.Gap("ASIS_R", 120, 130), markers.Gap("IF_L", 101, 140)]
+    masked = markers.without_frozen(positions, frozen)
+    assert markers.find_gaps(masked) == frozen
+    # nobody moves, and the export has few digits
+    still = {name: np.round(values[:1] + 0 * values, 3) for name, values in positions.items()}
+    assert markers.find_frozen(still) == []
+
+
 def test_few_seconds_ask_for_more_standard_errors():
     fits = [
         clocks.ClockFit(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3), n) for n in (12, 30, 10_000)

@@ -1,6 +1,7 @@
 """Raw exports to tables: a person in closed form, bad input, what quality.json says."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -26,6 +27,7 @@ from handmade_person import (
 from real2sim import geometry
 from real2sim.configuration import validated
 from real2sim.errors import InputError
+from real2sim.recording.formats.detect import read_markerless
 from real2sim.recording.formats.opensim import write_coordinates
 from real2sim.recording.formats.recordings import CoordinateRecording
 from real2sim.recording.formats.robot_log import read_log, write_log
@@ -337,6 +339,44 @@ def test_coordinates_without_pelvis(copy):
     write_coordinates(folder / "dynamic_1.mot", CoordinateRecording(t, {"knee_angle_r": t}))
     text = refusal(run)
     assert "dynamic_1.mot, column pelvis_tilt" in text
+
+
+def test_a_coordinate_without_a_number_takes_nothing_from_the_others(copy):
+    folder, run = copy
+    path = folder / "dynamic_1.mot"
+    whole = read_markerless(path)
+    columns = {**whole.columns, "wrist_flex_r": np.full(len(whole.time_s), np.nan)}
+    write_coordinates(path, CoordinateRecording(whole.time_s, columns))
+    out = run()
+    joints = table(out / "dynamic_1" / "joints.parquet")
+    assert not np.isfinite(joints["wrist_flex_r"]).any()
+    assert np.isfinite(joints["pelvis_tx"]).mean() > 0.95
+    found = {f["code"]: f for f in quality(out, "dynamic_1")["findings"]}
+    assert found["column_empty"]["place"] == "wrist_flex_r"
+    # an export that breaks off
+    half = slice(0, len(whole.time_s) // 2)
+    columns = {name: values[half] for name, values in whole.columns.items()}
+    write_coordinates(path, CoordinateRecording(whole.time_s[half], columns))
+    found = {f["code"]: f for f in quality(run(), "dynamic_1")["findings"]}
+    assert re.search(r"over [2-5]\d % of the time", found["markerless_part"]["message"])
+
+
+@pytest.mark.parametrize(
+    ("milliseconds", "millimetres", "told"),
+    [(1000, 1, "column time"), (1, 1000, "pelvis")],
+)
+def test_milliseconds_and_millimetres_are_told(copy, milliseconds, millimetres, told):
+    folder, run = copy
+    path = folder / "dynamic_1.mot"
+    whole = read_markerless(path)
+    columns = {
+        name: values * (millimetres if name.startswith("pelvis_t") and name != "pelvis_tilt" else 1)
+        for name, values in whole.columns.items()
+    }
+    write_coordinates(path, CoordinateRecording(whole.time_s * milliseconds, columns))
+    text = refusal(run)
+    assert f"dynamic_1.mot, {told}" in text
+    assert "milli" in text
 
 
 def test_log_of_another_trial(copy):

@@ -178,6 +178,8 @@ def k_of(**changed):
         ({"interface": {"axes": {"swing": {"type": "hinge"}}, "rest": "quiet"}}, "a drive by force"),
         ({"parameters": {"k": k_of(), "k2": k_of()}}, "a second parameter that sets the stiffness of swing"),
         ({"parameters": {"m": k_of(sets="mass", of="foot")}}, "no body foot"),
+        ({"parameters": {"k": k_of(unit="Nmm/deg")}}, "Nm/rad, the unit of the stiffness of swing"),
+        ({"parameters": {"d": k_of(sets="damping")}}, "Nms/rad, the unit of the damping of swing"),
         ({"parameters": {"k": k_of(bounds=[2, "1e1"])}}, "YAML reads 1e1 as text"),
         ({"parameters": {"k": k_of(bounds=[2])}}, "docs/library.md has the keys"),
         ({"parameters": {"k": k_of(bounds=[2, "200"])}}, "Write it without quotes."),

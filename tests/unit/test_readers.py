@@ -577,6 +577,12 @@ def test_protobuf_payload_with_other_fields_is_refused(tmp_path):
         ('"x": ', '"x": true, "was": ', "payload"),
         ('"w": ', '"w": 9', "quaternion"),
         ('"w": ', '"w": 1e300, "was": ', "quaternion"),
+        # w, x, y, z in the place of x, y, z, w
+        (
+            '"orientation": {',
+            '"orientation": {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}, "was": {',
+            "quaternion",
+        ),
         ('"linear": {"x": ', '"linear": {"x": NaN, "was": ', "not_finite"),
         ('"pose": {"pose"', '"pose": [{"pose"', "payload"),
         ('"name": [', '"name": ["arm_lift", ', "names"),

@@ -232,6 +232,8 @@ def test_zero_people_of_a_cohort_is_refused_with_the_remedy(project):
         ),
         # a disk that is not mounted must not end in the phantom's study
         ({"paths": {"subjects": "/mnt/lab/people"}}, "paths.subjects", "nothing at /mnt/lab/people"),
+        # Snakemake would take it for a wildcard
+        ({"paths": {"subjects": "/mnt/lab {1}/people"}}, "paths.subjects", "/mnt/lab {1}/people"),
         (
             {"quality": {"override": {"S99/dynamic_1": "pilot"}}},
             "quality.override.S99/dynamic_1",

@@ -54,6 +54,7 @@ def load_study(raw_config):
         if Path(source).suffix in (".yaml", ".yml"):
             read_yaml(Path(source))
     study = validated(raw_config, "config", sources)
+    check_braces(study, sources)
     if study["cohort"] != "phantom":
         check_path(study, sources, "subjects", Path.is_dir, "the folder of the people's folders")
     people = {} if study["cohort"] == "phantom" else discover(Path(study["paths"]["subjects"]))
@@ -70,6 +71,18 @@ def load_study(raw_config):
         check_path(study, sources, "priors", Path.is_file, "a table of priors", part="refinement")
     check_overrides(study["quality"]["override"], people, sources)
     return study, people, phantom
+
+
+def check_braces(study, sources):
+    """Raise InputError where a folder has a brace in its name: Snakemake takes that for the place of a wildcard."""
+    places = {"the folder of the project": str(Path(workflow.basedir))} | {
+        f"paths.{key}": str(path) for key, path in study["paths"].items()
+    }
+    for place, path in places.items():
+        if "{" in path or "}" in path:
+            source = path if place.startswith("the") else sources
+            expected = "names without { and }, which Snakemake takes for a wildcard"
+            raise InputError(source, place, path, expected, "Rename or move the folder.")
 
 
 def check_path(study, sources, key, is_there, what, part="paths"):

@@ -89,6 +89,12 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
         trial.note(
             "marker_unseen", "info", trial.tsv, listed, "labelled and never seen", "taken as not there"
         )
+    frozen = markers.find_frozen(used)
+    for gap in frozen:
+        place = f"{gap.marker}, rows {gap.start + 1} to {gap.stop}"
+        message = f"the same coordinates in {gap.stop - gap.start} frames while other markers move"
+        trial.note("marker_frozen", "warning", trial.tsv, place, message, "taken as not seen")
+    used = markers.without_frozen(used, frozen)
     _check_extent(trial, used)
     for name in required:
         _check_complete(trial, name, used[name])
@@ -201,7 +207,9 @@ def _repair_swaps(
     for swap in swaps:
         place = f"{swap.first} and {swap.second}, rows {swap.start + 1} to {swap.stop}"
         message = f"labels exchanged over {swap.stop - swap.start} frames"
-        trial.note("marker_swap", "warning", trial.tsv, place, message, "exchanged back")
+        beside = " and ".join(f"{start + 1} to {stop}" for start, stop in swap.unsure)
+        action = f"exchanged back; unknown over rows {beside}" if beside else "exchanged back"
+        trial.note("marker_swap", "warning", trial.tsv, place, message, action)
         share = (swap.stop - swap.start) / len(recording.time_s)
         if reference is not None and share >= trial.settings["min_complete"]:
             pair, message = f"{swap.first} and {swap.second}", "exchanged throughout, against neutral"
@@ -322,6 +330,7 @@ def _joints(
         units.check_angles(trial.mot, recording, trial.settings["units"])
         kind, columns, pelvis = "coordinates", recording.columns, _coordinate_pelvis(trial, recording)
         ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
+        units.check_thousands(trial.mot, recording, ours, pelvis)
         units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     else:
         kind = "landmarks"
@@ -330,7 +339,11 @@ def _joints(
     synchronised = drift is not None
     table = np.column_stack(list(columns.values()))
     gap = trial.settings["max_gap_s"]
-    values = signals.resample(recording.time_s, table, time_fit.other_time(clock), gap)
+    at = time_fit.other_time(clock)
+    # column by column: what one coordinate lacks takes nothing from the others
+    values = np.column_stack([signals.resample(recording.time_s, own, at, gap) for own in table.T])
+    covered = np.isfinite(values).mean(axis=0)
+    _note_what_is_missing(trial, dict(zip(columns, covered.tolist(), strict=True)))
     report = {
         "kind": kind,
         "offset_s": time_fit.offset_s,
@@ -349,7 +362,7 @@ def _joints(
         "rms_deg": float(np.degrees(space_fit.rms_rad)),
         "from": "OpenSim ground in z-up axes (X, -Z, Y)",
         "to": "world",
-        "covered": float(np.isfinite(values[:, 0]).mean()),
+        "covered": float(covered.max()),
     }
     lengths = (
         {*columns} if kind == "landmarks" else {*filter(is_translation, columns), *named["translations"]}
@@ -359,6 +372,18 @@ def _joints(
         name: (column, "m" if name in lengths else "rad", "opensim")
         for name, column in zip(columns, values.T, strict=True)
     }, report
+
+
+def _note_what_is_missing(trial: _Trial, covered: dict[str, float]) -> None:
+    """Note coordinates or landmarks that are empty, or known over a part of the markers' time: shares by column."""
+    empty = [name for name, share in covered.items() if share == 0]
+    most = max(covered.values())
+    if most < trial.settings["min_complete"]:
+        message = f"known over {100 * most:.0f} % of the time of the markers"
+        trial.note("markerless_part", "warning", trial.mot, "", message, "unknown elsewhere")
+    if empty and most:
+        message = f"{len(empty)} of {len(covered)} columns without a number"
+        trial.note("column_empty", "warning", trial.mot, ", ".join(empty), message, "left empty")
 
 
 def _coordinate_pelvis(trial: _Trial, recording: CoordinateRecording) -> alignment.PelvisPath:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from real2sim.errors import InputError
 from real2sim.recording.formats.joint_states import read_joint_states
 from real2sim.recording.formats.recordings import Finding
-from real2sim.recording.formats.text import check_number_of_names
+from real2sim.recording.formats.text import check_number_of_names, repeated
 from real2sim.recording.levels import scatter_of_pair, scatter_of_repeats
 from real2sim.signals import Scatter
 from real2sim.system.description import POSE, System
@@ -27,6 +27,10 @@ TIME = "time_s"
 UNEVEN = 0.01
 # Samples that a recording has at least
 _FEWEST = 10
+# Larger numbers are none that an instrument shows
+_ASTRONOMIC = 1e100
+# Intervals between the messages of a joint from which on nothing is known of what lies between, in usual ones
+_HOLE = 4.0
 # Samples on the even clock, as a multiple of the messages of a joint
 _MOST_SAMPLES = 4
 # Columns of a table may take so many times the file's size, or so many bytes if that is more
@@ -214,7 +218,11 @@ def log_columns(system: System) -> dict[str, str]:
 
 def _numbers(column: pd.Series, source: Path) -> np.ndarray:
     try:
-        numbers = column.to_numpy(dtype=float)
+        # pandas reads True as 1, and numpy 1_000 as 1000: no export means either
+        if column.dtype == bool:
+            raise ValueError(f"{column.iloc[0]} and the like")
+        text = not pd.api.types.is_numeric_dtype(column)
+        numbers = (pd.to_numeric(column) if text else column).to_numpy(dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(
             source,
@@ -224,6 +232,11 @@ def _numbers(column: pd.Series, source: Path) -> np.ndarray:
             "Correct it.",
             "not_a_number",
         ) from error
+    far = np.flatnonzero(np.isinf(numbers) | (np.abs(numbers) > _ASTRONOMIC))
+    if len(far):
+        place = f"column {column.name}, sample {far[0] + 1}"
+        found, expected = f"{numbers[far[0]]:g}", "a number that an instrument shows, or nothing"
+        raise InputError(source, place, found, expected, "Leave the cell empty, or correct it.", "not_finite")
     if len(numbers) and not np.isfinite(numbers).any():
         raise InputError(
             source,
@@ -275,12 +288,16 @@ def _read_table(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]
     try:
         names = _read_names(path)
         wanted = [name for name in (TIME, *required_columns(system)) if name in names]
+        if twice := repeated(name for name in names if name in wanted):
+            found, remedy = f"{', '.join(twice)} more than once", "Name each column once."
+            raise InputError(path, "names of the columns", found, "each name once", remedy, "names")
         if len(wanted) < 1 + len(required_columns(system)):
             return pd.DataFrame(columns=names), []
         if suffix == ".parquet":
             _check_parquet(path, wanted)
             return pd.read_parquet(path, columns=wanted), []
-        return pd.read_csv(path, usecols=wanted), []
+        _check_cells(path, len(names))
+        return pd.read_csv(path, usecols=wanted, encoding="utf-8-sig"), []
     except InputError:
         raise
     except Exception as error:  # Arrow and pandas raise many kinds, by what is damaged
@@ -298,6 +315,23 @@ def _read_names(path: Path) -> list[str]:
         raise InputError(path, "", "an empty file", "a table", "Export it anew.", "empty")
     check_number_of_names(path, "line 1", names, "Export the columns that the system names.")
     return names
+
+
+def _check_cells(path: Path, cells: int) -> None:
+    """Refuse a row of a CSV with a cell too few or too many: pandas shifts its columns, or drops what is too much."""
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        rows = csv.reader(stream)
+        next(rows, None)
+        for row in rows:
+            if row and len(row) != cells:
+                raise InputError(
+                    path,
+                    f"line {rows.line_num}",
+                    f"{len(row)} cells",
+                    f"{cells} cells, as many as names",
+                    "Export it anew, without names of rows (R: row.names = FALSE) and without commas in cells.",
+                    "row_cells",
+                )
 
 
 def _check_parquet(path: Path, wanted: list[str]) -> None:
@@ -332,7 +366,7 @@ def _joint_states(path: Path, system: System) -> tuple[pd.DataFrame, list[Findin
 
 
 def _on_one_clock(path: Path, series: dict[str, tuple[np.ndarray, np.ndarray]]) -> pd.DataFrame:
-    """Columns interpolated at the mean rate of the fastest one, over the time that all of them cover."""
+    """Columns interpolated at the mean rate of the fastest one, over the time that all of them cover; NaN in holes."""
     first = max(time_s[0] for time_s, _ in series.values())
     last = min(time_s[-1] for time_s, _ in series.values())
     step = min((float(np.median(np.diff(t))) if len(t) > 1 else 0.0) for t, _ in series.values())
@@ -343,5 +377,16 @@ def _on_one_clock(path: Path, series: dict[str, tuple[np.ndarray, np.ndarray]]) 
         expected, remedy = "joint states at one rate", "Record it anew."
         raise InputError(path, "times of the messages", found, expected, remedy, "time_uneven")
     time_s = first + step * np.arange(int(samples + 1e-6))
-    columns = {name: np.interp(time_s, t, values) for name, (t, values) in series.items()}
+    columns = {name: _between_messages(time_s, t, values) for name, (t, values) in series.items()}
     return pd.DataFrame({TIME: time_s - first} | columns)
+
+
+def _between_messages(time_s: np.ndarray, sent_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values (n,) at times (m,) [s] from messages at times (n,) [s]; NaN where messages are missing."""
+    out = np.asarray(np.interp(time_s, sent_s, values))
+    apart = np.diff(sent_s)
+    if len(apart):
+        after = np.clip(np.searchsorted(sent_s, time_s, side="left"), 1, len(apart))
+        within = (time_s > sent_s[after - 1]) & (time_s < sent_s[after])
+        out[within & (apart[after - 1] > _HOLE * np.median(apart))] = np.nan
+    return out

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Joints that stop short of half a turn. Not the pelvis' heading and the arms; knee_angle_r_beta is the patella's.
 _STOPPED = re.compile(r"pelvis_(tilt|list)|(hip|knee|ankle|subtalar|mtp|lumbar)_(?!.*beta).*")
+# What counts as a factor of a thousand: no two systems differ so much in what they see of one pelvis
+_THOUSAND = (300.0, 3000.0)
 _TO_DEGREES = "write inDegrees=yes into the header, or export again in degrees"
 _TO_RADIANS = "write inDegrees=no into the header, or export again in degrees"
 
@@ -49,6 +51,32 @@ def check_angles(path: Path, recording: CoordinateRecording, settings: IngestUni
         found += f": the file holds {reached[name]:.4g}, degrees that are taken for radians"
         remedy = _TO_DEGREES
     raise InputError(path, f"column {name}", found, f"at most {limit:g} deg", remedy, "units_contradicted")
+
+
+def check_thousands(path: Path, recording: CoordinateRecording, ours: PelvisPath, other: PelvisPath) -> None:
+    """Refuse times in milliseconds and translations in millimetres, by the clock and the pelvis of the markers.
+
+    ``ours`` is the pelvis of the markers, ``other`` that of the coordinates; each on its own clock.
+    """
+    lasts = [float(np.ptp(time_s)) for time_s in (recording.time_s, ours.time_s)]
+    if _is_thousand(*lasts):
+        found = f"{lasts[0]:.4g} s of coordinates beside {lasts[1]:.4g} s of markers: milliseconds?"
+        remedy = "export the times in seconds"
+        raise InputError(path, "column time", found, "times in seconds", remedy, "units_contradicted")
+    travelled = [_travelled(other.position), _travelled(ours.position)]
+    if _is_thousand(*travelled):
+        found = (
+            f"a pelvis that travels by {travelled[0]:.3g} m (RMS), and by {travelled[1]:.3g} m in the markers"
+        )
+        remedy = "export the translations in metres"
+        raise InputError(
+            path, "pelvis", f"{found}: millimetres?", "translations in metres", remedy, "units_contradicted"
+        )
+
+
+def _is_thousand(one: float, other: float) -> bool:
+    """Return whether one number is about a thousand times the other: a wrong unit, and no difference of two systems."""
+    return _THOUSAND[0] * other < one < _THOUSAND[1] * other
 
 
 def check_pelvis(

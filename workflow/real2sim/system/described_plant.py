@@ -52,6 +52,7 @@ def load_model(system: System) -> mujoco.MjSpec:
             "model_names",
         )
     _check_types(spec, system)
+    system.check_units()
     return spec
 
 

@@ -20,6 +20,13 @@ from real2sim.signals import Scatter
 
 POSE, PATH, FORCE = "pose", "path", "force"
 STIFFNESS, DAMPING, MASS = "stiffness", "damping", "mass"
+# Unit of what a parameter sets, of a translation and of a rotation; a mass is one of a body
+_UNITS = {
+    STIFFNESS: ("N/m", "Nm/rad"),
+    DAMPING: ("Ns/m", "Nms/rad"),
+    MASS: ("kg", "kg"),
+    "offset": ("N", "Nm"),
+}
 BASE_JOINTS = ("base_x", "base_y", "base_yaw")
 ARM_JOINTS = ("arm_lift", "arm_roll", "arm_pitch")
 
@@ -254,6 +261,28 @@ class System:
                 "value",
             )
 
+    def check_units(self) -> None:
+        """Refuse a unit that is not that of what its parameter sets: numbers are searched and printed in SI.
+
+        Raises
+        ------
+        InputError
+            Naming the parameter and its unit.
+        """
+        rotational = {axis.name: axis.rotational for axis in self.axes}
+        for p in self.parameters:
+            linear, angular = _UNITS[p.sets]
+            unit = angular if rotational.get(p.of, False) else linear
+            if _bare(p.unit) != _bare(unit):
+                raise InputError(
+                    self.name,
+                    f"parameters.{p.name}.unit",
+                    p.unit,
+                    f"{unit}, the unit of the {p.sets} of {p.of}",
+                    "Give bounds in this unit, and correct it.",
+                    "value",
+                )
+
     def trusting(self, levels: Mapping[str, float | Scatter]) -> System:
         """The same system whose outputs and logs are trusted no further than ``levels``, by column.
 
@@ -416,6 +445,11 @@ def _markers(given: Mapping[str, Any]) -> Markers:
     return Markers(
         tuple(segment["names"]), segment["frame"], dict(interface["sites"]) or None, interface["frame"]
     )
+
+
+def _bare(unit: str) -> str:
+    """Return a unit without the signs of multiplication that some write: N·m/rad is Nm/rad."""
+    return "".join(letter for letter in unit if letter not in " ·*.")
 
 
 @cache

@@ -312,6 +312,7 @@ _RECORD = "record it again with `ros2 bag record --storage mcap`, or leave it ou
 _BATCH = 1 << 22  # bytes of a topic that are decoded at once
 _BATCH_MESSAGES = 1 << 15  # the same in messages: small ones take thirty times their bytes
 _LAST_NS = 1 << 62  # the year 2116
+_UPRIGHT = 0.7  # least cosine of a base's up axis to the vertical
 _UNIT = 0.01  # a quaternion's length may be off by this
 _MOST_GROUPS = 100  # structures of messages in a batch: sound logs have one for each publisher
 
@@ -745,6 +746,13 @@ def _needed(path: Path, topic: str, group: Group) -> dict[str, np.ndarray]:
             index = int(group.index[np.argmax(~(np.abs(length - 1) < _UNIT))]) + 1
             place, found = f"topic {topic}, message {index}", "an orientation that is no unit quaternion"
             raise InputError(path, place, found, "x, y, z, w of length 1", _RECORD, "quaternion")
+        lies = 1 - 2 * (x * x + y * y) < _UPRIGHT
+        if lies.any():
+            index = int(group.index[np.argmax(lies)]) + 1
+            place, found = f"topic {topic}, message {index}", "an orientation that is not about the vertical"
+            expected = "x, y, z, w of a base that stands on its wheels: x and y near 0"
+            remedy = "Correct the publisher; w may stand first there."
+            raise InputError(path, place, found, expected, remedy, "quaternion")
         yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         parts = (values["position"][:, :2], yaw[:, None], values["linear"][:, :2], values["angular"][:, 2:])
         return {"table": np.hstack(parts)}

@@ -27,6 +27,39 @@ def without_unseen(positions: Mapping[str, np.ndarray], needed: Collection[str])
     }
 
 
+def find_frozen(positions: Mapping[str, np.ndarray]) -> list[Gap]:
+    """Return the spans [start, stop) over which a marker (n, 3) stands still to the last digit while others move.
+
+    That is a gap that somebody filled with its last sample. Where most of the other markers stand still as well, nobody
+    moves and the file has few digits.
+    """
+    seen = {name: signals.known(values) for name, values in positions.items()}
+    repeats = {
+        name: np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)])
+        for name, values in positions.items()
+    }
+    out = []
+    for name, again in repeats.items():
+        for run in signals.segments(again & seen[name]):
+            if run.stop - run.start < _FROZEN:
+                continue
+            others = [repeats[o][run][seen[o][run]] for o in positions if o != name]
+            still = np.concatenate(others) if others else np.ones(1, bool)
+            if len(still) and still.mean() < _FEW_STILL:
+                out.append(Gap(name, run.start, run.stop))
+    return out
+
+
+def without_frozen(positions: Mapping[str, np.ndarray], frozen: Collection[Gap]) -> dict[str, np.ndarray]:
+    """Return trajectories (n, 3) [m] that are missing (NaN) over spans of `find_frozen`."""
+    out = dict(positions)
+    for gap in frozen:
+        out[gap.marker] = out[gap.marker].copy()
+    for gap in frozen:
+        out[gap.marker][gap.start : gap.stop] = np.nan
+    return out
+
+
 # Markers that sit on one body: the pelvis by itself and the interface by itself.
 RIGID_PAIRS = (*combinations(geometry.PELVIS_MARKERS, 2), geometry.INTERFACE_MARKERS)
 _SWAPS = tuple(combinations(range(len(MARKERS)), 2))
@@ -34,17 +67,24 @@ _UPRIGHT = 0.3  # least cosine of the pelvis' up axis to the vertical, and of th
 _ENOUGH = 50  # frames to see how skin slides
 _ROUNDS = 15  # of reweighting
 _HUBER = 2.0  # in median absolute residuals, 1.35 SD of a normal distribution
+_FROZEN = 4  # frames that repeat the one before to the last digit: a coarse export may repeat one or two
+_FEW_STILL = 0.5  # share of the other markers' frames that repeat too, from which on nothing moves
 _SPIKE_FRAMES = 7  # of the running median: spikes of up to three frames stand out of it
 
 
 @dataclass(frozen=True)
 class Swap:
-    """Two labels exchanged over frames [start, stop)."""
+    """Two labels exchanged over frames [start, stop).
+
+    ``unsure`` are frames [start, stop) beside it, up to where the labels are right again, in which a marker is missing,
+    so that nothing says whether they are.
+    """
 
     first: str
     second: str
     start: int
     stop: int
+    unsure: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -126,40 +166,68 @@ def find_swaps(
             fits[k] = there & (_violation(some[:, order], reference) <= restored_m)
     label = np.full(len(points), -1)
     label[bad] = np.where(fits.sum(axis=0) == 1, fits.argmax(axis=0), -1)
-    out = []
+    out: list[Swap] = []
     for k in np.unique(label[label >= 0]):
-        a, b = _SWAPS[k]
-        spread = _spread(points, reference, label == k, a, b)
-        out += [
-            Swap(MARKERS[a], MARKERS[b], run.start, run.stop)
-            for run in signals.segments(spread)
-            if _jumps(points, a, b, run)
-        ]
+        out += _swaps_of(points, reference, label == k, *_SWAPS[k])
     return sorted(out, key=lambda swap: swap.start)
 
 
-def _spread(points: np.ndarray, reference: np.ndarray, sure: np.ndarray, a: int, b: int) -> np.ndarray:
-    """Frames of an exchange: those that are sure, and their neighbours as long as it fits better than the labels."""
-    order = np.arange(len(MARKERS))
-    order[[a, b]] = b, a
-    with np.errstate(invalid="ignore", divide="ignore"):
-        better = _violation(points[:, order], reference) < _violation(points, reference)
-    out = sure.copy()
+def _swaps_of(points: np.ndarray, reference: np.ndarray, sure: np.ndarray, a: int, b: int) -> list[Swap]:
+    """Return the spans over which labels ``a`` and ``b`` are exchanged, where frames ``sure`` (n,) say so.
+
+    Neighbours belong to a span as long as the exchange fits better than the labels. A gap of a marker belongs to it
+    where the labels are exchanged on both sides, or on one and the record ends on the other.
+    """
+    better, silent = _evidence(points, reference, a, b)
+    spread = sure.copy()
     for run in signals.segments(sure | better):
         if sure[run].any():
-            out[run] = True
-    return out
+            spread[run] = True
+    silent &= ~spread
+    unsure = []
+    for run in signals.segments(silent):
+        sides = [spread[i] for i in (run.start - 1, run.stop) if 0 <= i < len(spread)]
+        if sides and all(sides):
+            spread[run] = True
+        elif any(sides):
+            unsure.append((run.start, run.stop))
+    return [
+        Swap(
+            MARKERS[a],
+            MARKERS[b],
+            run.start,
+            run.stop,
+            tuple(gap for gap in unsure if gap[1] == run.start or gap[0] == run.stop),
+        )
+        for run in signals.segments(spread)
+        if _jumps(points, a, b, run, silent)
+    ]
 
 
-def _jumps(points: np.ndarray, a: int, b: int, run: slice) -> bool:
+def _evidence(points: np.ndarray, reference: np.ndarray, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return where exchanging two labels fits better (n,), and where nothing tells, for want of a marker (n,)."""
+    order = np.arange(len(MARKERS))
+    order[[a, b]] = b, a
+    there = np.isfinite(points[:, [a, b], 0]).all(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        as_labelled, exchanged = _violation(points, reference), _violation(points[:, order], reference)
+        # the interface's two markers show by the pelvis alone which is which
+        same = np.isnan(as_labelled) | np.isnan(exchanged) | (as_labelled == exchanged)
+        return there & (exchanged < as_labelled), ~there | (same & ~np.isinf(as_labelled))
+
+
+def _jumps(points: np.ndarray, a: int, b: int, run: slice, silent: np.ndarray) -> bool:
     """Return whether two labels (of (n, 6, 3)) go on smoothly at both ends of a span only if they are exchanged there.
 
-    An end at which a marker is missing, or that is the record's, says nothing.
+    Frames that tell nothing, ``silent`` (n,), are passed over. An end that is the record's says nothing.
     """
-    for before, after in ((run.start - 1, run.start), (run.stop - 1, run.stop)):
-        if before < 0 or after >= len(points):
+    told = np.flatnonzero(~silent)
+    inside = told[(told >= run.start) & (told < run.stop)]
+    outside = told[told < run.start][-1:], told[told >= run.stop][:1]
+    for within, beyond in zip((inside[:1], inside[-1:]), outside, strict=True):
+        if not len(within) or not len(beyond):
             continue
-        (a_0, b_0), (a_1, b_1) = points[before, [a, b]], points[after, [a, b]]
+        (a_0, b_0), (a_1, b_1) = points[beyond[0], [a, b]], points[within[0], [a, b]]
         kept = np.linalg.norm(a_1 - a_0) + np.linalg.norm(b_1 - b_0)
         exchanged = np.linalg.norm(b_1 - a_0) + np.linalg.norm(a_1 - b_0)
         if kept <= exchanged:  # false where one is NaN
@@ -198,7 +266,7 @@ def skin(departure: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def repaired(positions: dict[str, np.ndarray], swaps: list[Swap]) -> dict[str, np.ndarray]:
-    """Return positions (n, 3) [m] by marker with the labels exchanged back."""
+    """Return positions (n, 3) [m] by marker with the labels exchanged back, NaN where that is unsure."""
     out = {name: values.copy() for name, values in positions.items()}
     for swap in swaps:
         span = slice(swap.start, swap.stop)
@@ -206,6 +274,8 @@ def repaired(positions: dict[str, np.ndarray], swaps: list[Swap]) -> dict[str, n
             positions[swap.second][span],
             positions[swap.first][span],
         )
+        for start, stop in swap.unsure:
+            out[swap.first][start:stop] = out[swap.second][start:stop] = np.nan
     return out
 
 

@@ -150,12 +150,12 @@ def read_walk(folder: Path, body: Body) -> Walk:
     phantom = bool(json.loads(table.schema.metadata[b"real2sim"]).get("phantom", False))
     joints = {name: table[name].to_numpy() for name in table.column_names}
     needed = [*PELVIS, *(f"{name}_{side}" for name in SAGITTAL for side in FEET)]
-    missing = [name for name in needed if name not in joints]
+    missing = [name for name in needed if name not in joints or not np.isfinite(joints[name]).any()]
     if missing:
         raise InputError(
             path,
             f"column {', '.join(missing[:4])}",
-            "absent",
+            "absent, or without a number",
             "joint angles of a full-body model (Rajagopal names)",
             "Export coordinates (.mot or .sto) for the walking trials; landmarks alone do not train a twin.",
         )

@@ -30,7 +30,7 @@ from real2sim.artefacts import read_json, write_json
 from real2sim.configuration import read_yaml, validated
 from real2sim.geometry import rotation_xyz
 from real2sim.study.twin import adaptation
-from real2sim.study.twin.coupled import Condition, CoupledWalk, FreeWalk, Recording
+from real2sim.study.twin.coupled import Condition, CoupledWalk, Recording
 from real2sim.study.twin.evaluate import plain
 from real2sim.study.twin.gait import PHASES, SAGITTAL, Reference, make_reference, with_speeds
 from real2sim.study.twin.human import Body
@@ -39,8 +39,10 @@ from real2sim.study.twin.stage import (
     bar_rows,
     conditions_of,
     examined,
+    height_walked,
     read_paper,
     read_prior,
+    walk_free,
     walking_robots,
 )
 from real2sim.study.twin.train import Trainer, train
@@ -141,8 +143,9 @@ def coupled(policy: Policy, study: dict, phantom: dict, threads: int) -> list[di
     c = twin["coupled"]
     rest, limits = interface(phantom)
     prior = read_prior(PUBLISHED / "table1_priors.csv")
-    free = FreeWalk(policy, twin=twin, walkers=c["walkers"], threads=threads).run(c["walk_s"])
-    alone = adaptation.describe(adaptation.cycles_of(free, c["settle_s"]))
+    free = walk_free(policy, twin, c["main_cap"], threads)
+    alone = adaptation.describe(adaptation.cycles_of(free.at(0), c["settle_s"]))
+    height = height_walked(free, c["main_cap"], policy.body, rest)
     out = []
     for robot in walking_robots(
         twin, ROOT / "resources" / "robot" / "drba.xml", ROOT / twin["study_robot"]["model"]
@@ -157,6 +160,7 @@ def coupled(policy: Policy, study: dict, phantom: dict, threads: int) -> list[di
             limits=limits,
             conditions=conditions,
             walkers=c["walkers"],
+            height_m=height,
             threads=threads,
         )
         recording = walk.run(c["walk_s"])

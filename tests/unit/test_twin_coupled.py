@@ -204,6 +204,8 @@ def _steady(sigma: np.ndarray) -> Recording:
         {s: 0 * x for s, x in heel.items()},
         {s: 0 * x for s, x in heel.items()},
         along,
+        0 * along + 0.9,
+        np.tile([0.0, 0.0, 1.0], (*along.shape, 1)),
         0.05 * np.sin(2 * np.pi * np.tile(phase, (n, 1))),
         q,
         100 * q,
@@ -344,12 +346,34 @@ def test_who_fell_counts_in_no_free_walk(monkeypatch):
     monkeypatch.setattr(stage, "FreeWalk", Walks)
     learnt = SimpleNamespace(reference=SimpleNamespace(speeds=None))
     twin = {"coupled": {"walkers": 3, "settle_s": 2.0, "speed_caps": [], "walk_s": 10.0}}
-    free = stage._free(learnt, twin, 0.9, SimpleNamespace(cycles={}), 1)["free"]
+    walks = stage.walk_free(learnt, twin, 0.9, 1)
+    free = stage._free(walks, 0.9, SimpleNamespace(cycles={}))["free"]
     assert (free["walkers"], free["survived"]) == (3, 2)
     goal = np.ptp(np.degrees(reference().curve("hip_flexion_r")))
     assert free["hip_flexion"]["rom_deg"] == pytest.approx([goal, 0.0], abs=0.3)
     rows = walk_rows("S06", _record() | {"free": free})
     assert [(r["survived"], r["walkers"]) for r in rows if r["condition"] == "free"] == [(2, 3)]
+
+
+def test_the_arm_is_set_up_at_the_height_that_is_walked():
+    recording, rest = (
+        _steady(np.array([0.003, 0.009, 0.002])),
+        RestPose(np.eye(3), np.array([0.0, 0.0, -0.03])),
+    )
+    # another height at the speed that is compared, and one who lies
+    recording.pelvis_height[1:] = [[0.95], [0.96]]
+    recording.alive[0] = False
+    recording.pelvis_height[0] = 0.2
+    free = stage.FreeWalks([1.0, 0.8, 0.9], 1, recording, 2.0)
+    above = WHO.mid_asis[2] - 0.03
+    assert stage.height_walked(free, 0.8, WHO, rest) == pytest.approx(0.95 + above)
+    assert stage.height_walked(free, 0.9, WHO, rest) == pytest.approx(0.96 + above)
+    assert stage.height_walked(free, 1.0, WHO, rest) is None
+    # a pelvis that leans forward carries an interface ahead of it lower
+    recording.pelvis_up[:] = [-np.sin(0.1), 0.0, np.cos(0.1)]
+    ahead = WHO.mid_asis + np.array([0, 0, -0.03])
+    lower = 0.95 - np.sin(0.1) * ahead[0] + np.cos(0.1) * ahead[2]
+    assert stage.height_walked(free, 0.8, WHO, rest) == pytest.approx(lower)
 
 
 def test_free_walkers_are_recorded_in_the_same_way():

@@ -11,14 +11,22 @@ import numpy as np
 import pytest
 from real2sim.errors import InputError
 from real2sim.geometry import interface_coordinates, relative_pose
-from real2sim.study.twin.coupled import Condition, CoupledWalk, standing_interface, walking_interface
+from real2sim.study.twin.coupled import (
+    Condition,
+    CoupledWalk,
+    height_of_reference,
+    standing_interface,
+    walking_interface,
+)
 from real2sim.study.twin.env import ACTIONS, OBSERVATIONS, WalkEnv, rotations
+from real2sim.study.twin.evaluate import keeps_speeds, speeds_of, walkers_at_speeds
 from real2sim.study.twin.gait import Reference, scaled_curves, with_speeds
 from real2sim.study.twin.policy import Policy, load_policy, save_policy
 from real2sim.study.twin.ppo import init_layers
 from real2sim.study.twin.reference import cadence_exponent
-from real2sim.study.twin.stage import load_walker, vertical_stretch
+from real2sim.study.twin.stage import bar_rows, load_walker, vertical_stretch
 from real2sim.study.twin.study_robot import StudyRobot
+from real2sim.study.twin.train import Trainer
 
 from tests.unit.test_twin_coupled import LIMITS, PRIOR, REST, STUDY, STUDY_ROBOT
 from tests.unit.walking_person import WHO, measured_curves, reference, twin_settings
@@ -162,6 +170,72 @@ def test_speeds_that_are_the_same_are_refused_by_name():
         with_speeds(reference(), WHO, settings["human"], settings["reference"], 0.5)
 
 
+def test_a_walker_is_also_examined_at_the_speeds_of_robots():
+    settings = {**twin_settings()["evaluation"], "walkers": 5, "shares": [0.7, 0.9]}
+    settings |= {"walk_s": 0.9, "settle_s": 0.3}
+    assert walkers_at_speeds(settings) == 4
+    twin = twin_settings()
+    env = WalkEnv(WHO, twin["human"], adaptable(), twin["training"], nsim=4, threads=1, seed=0)
+    found = speeds_of(env, lambda obs: np.zeros((len(obs), ACTIONS)), settings)
+    np.testing.assert_array_equal(env.share, [0.7, 0.7, 0.9, 0.9])
+    assert [row["share"] for row in found] == [0.7, 0.9]
+    # before anybody falls they go as fast as they start
+    for row in found:
+        assert row["falls"] == 0
+        assert row["speed_m_per_s"] == pytest.approx(row["share"] * env.reference.speed, rel=0.2)
+        assert row["speed_error"] == pytest.approx(
+            row["speed_m_per_s"] / (row["share"] * env.reference.speed) - 1
+        )
+    bars = twin_settings()["acceptance"]
+    good = {"share": 0.7, "falls": 0, "speed_m_per_s": 0.7, "speed_error": -0.049}
+    assert keeps_speeds([good, good], bars)
+    for worse in ({"falls": 1}, {"speed_error": 0.051}, {"speed_error": None}):
+        assert not keeps_speeds([good, good | worse], bars)
+    env = WalkEnv(WHO, twin["human"], reference(), twin["training"], nsim=4, threads=1, seed=0)
+    with pytest.raises(ValueError, match="one speed"):
+        env.walk_at(np.full(4, 0.8))
+
+
+def test_a_training_examines_other_speeds_too():
+    settings = copy.deepcopy(twin_settings())
+    settings["training"] |= {"simulations": 4, "horizon": 4}
+    settings["evaluation"] |= {"walkers": 3, "walk_s": 1.0, "settle_s": 0.4, "shares": [0.75, 0.9]}
+    verdict = Trainer(WHO, adaptable(), settings, seed=1, threads=1).evaluate()
+    assert [row["share"] for row in verdict["speeds"]] == [0.75, 0.9]
+    assert verdict["met"]["speeds"] == keeps_speeds(verdict["speeds"], settings["acceptance"])
+    assert "speeds" not in Trainer(WHO, reference(), settings, seed=1, threads=1).evaluate()["met"]
+
+
+def test_a_speed_that_is_not_kept_is_a_bar_that_is_missed():
+    joints = {
+        j: {"rom_error_deg": 0.0, "peak_error_deg": 0.0, "r": 1.0, "rmse_deg": 0.0}
+        for j in ("hip_flexion", "knee_angle", "ankle_angle")
+    }
+    walk = {"falls": 0, "speed_error": 0.0, "joints": joints, "saturated_share": 0.0, "warnings": 0}
+    walk["floor_force_peak_bw"] = {"mean_of_strides": 1.2}
+    names = ("falls", "speed", "floor_force", "saturation", "warnings", "pushes", "battery")
+    found = {
+        "walk": walk,
+        "bars": twin_settings()["acceptance"],
+        "met": dict.fromkeys(names, True),
+        "pushes": [{"force_n": 100, "falls_per_minute": 0.0}],
+        "battery": {"survived_share": 1.0},
+        "speeds": [
+            {"share": 0.7, "falls": 1, "speed_error": 0.051},
+            {"share": 0.9, "falls": 0, "speed_error": None},
+        ],
+        "seed": 1,
+        "phantom": True,
+    }
+    rows = {row["bar"]: row for row in bar_rows("S06", found)}
+    assert [name for name, row in rows.items() if not row["met"]] == [
+        "speed_error_at_70_percent",
+        "falls_at_70_percent",
+        "speed_error_at_90_percent",
+    ]
+    assert rows["falls_at_90_percent"]["met"]
+
+
 def test_nobody_means_to_walk_slower_than_their_gait_is_known():
     walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.4, (), True), Condition("prior", PRIOR, 0.4)])
     np.testing.assert_allclose(walk._share, np.repeat([adaptable().speeds.shares[0], 1.0], 2))
@@ -196,7 +270,9 @@ def _without_pull(walk: CoupledWalk) -> dict[str, np.ndarray]:
     """Return what a rollout records where nothing pulls."""
     model = walk.model
     widths = {"qpos": model.nq, "qfrc_passive": model.nv, "sensordata": model.nsensordata}
-    return {name: np.zeros((walk.n, walk.substeps, n)) for name, n in widths.items()}
+    record = {name: np.zeros((walk.n, walk.substeps, n)) for name, n in widths.items()}
+    record["sensordata"][..., walk.model.sensor("root_quaternion").adr[0]] = 1.0
+    return record
 
 
 @pytest.mark.parametrize("part", ["spring", "stop"])
@@ -204,7 +280,8 @@ def test_the_aware_slow_down_by_a_steady_pull_of_spring_or_stop(part: str):
     walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.9, (), True), Condition("prior", PRIOR, 0.9)])
     walk.run(2 * walk.control_s)
     coupled = STUDY["twin"]["coupled"]
-    pull = 0.1 * coupled["stopping_pull_bw"] * WHO.weight
+    # along the axis of the pelvis' frame, which leans by the rest pose
+    pull = 0.1 * coupled["stopping_pull_bw"] * WHO.weight / REST.rotation[0, 0]
     record = _without_pull(walk)
     forward = walk._strap[0]
     if part == "spring":
@@ -218,6 +295,21 @@ def test_the_aware_slow_down_by_a_steady_pull_of_spring_or_stop(part: str):
     np.testing.assert_allclose(walk._share, [0.9, 0.9, 1, 1], atol=1e-4)
 
 
+def test_an_arm_that_lifts_slows_nobody_down():
+    walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.9, (), True)])
+    walk.run(2 * walk.control_s)
+    record = _without_pull(walk)
+    # 200 N upwards, which the leaning frame of the pelvis has in part along its forward axis
+    record["qfrc_passive"][..., walk._strap[:3]] = REST.rotation @ [0.0, 0.0, 200.0]
+    assert abs(record["qfrc_passive"][0, 0, walk._strap[0]]) > 10
+    np.testing.assert_allclose(walk._pull_back(record), 0.0, atol=1e-9)
+    # turned to the left by 0.5 rad, and held back by 30 N
+    turned = walk.model.sensor("root_quaternion").adr[0]
+    record["sensordata"][..., turned : turned + 4] = [np.cos(0.25), 0, 0, np.sin(0.25)]
+    record["qfrc_passive"][..., walk._strap[:3]] = REST.rotation @ [30.0, 0.0, 200.0]
+    np.testing.assert_allclose(walk._pull_back(record), 30.0)
+
+
 def test_a_slow_robot_that_pulls_at_nothing_slows_nobody_down():
     walk = _walk(adaptable(), [Condition("prior", PRIOR, 0.8, (), True)])
     walk.run(2 * walk.control_s)
@@ -229,7 +321,7 @@ def test_a_slow_robot_that_pulls_at_nothing_slows_nobody_down():
 
 def test_the_arm_is_set_up_for_the_mean_height_of_the_walk():
     policy, stretch = _policy(adaptable()), 0.004
-    level, place = walking_interface(policy, REST, stretch)
+    level, place = walking_interface(WHO, REST, height_of_reference(policy, REST), stretch)
     _, standing = standing_interface(WHO, REST)
     np.testing.assert_array_equal(level, np.eye(3))
     np.testing.assert_array_equal(place[:2], standing[:2])

@@ -492,6 +492,25 @@ def test_a_free_walk_is_judged_by_every_bar():
     assert [k for k, ok in accepted(worse, bars).items() if not ok] == ["r"]
 
 
+def test_a_lasting_lag_costs_reward_and_sway_within_a_stride_hardly():
+    env = _env(2)
+    env.reset(np.arange(2), 0.0, np.zeros(2))
+    still = np.zeros((2, ACTIONS))
+    base = env._reward(still)
+    strides = round(3 * env.reference.stride_s / env.control_s)
+    sway = 0.3 * np.sin(2 * np.pi * np.arange(strides) * env.control_s / (env.reference.stride_s / 2))
+    forward = env._qvel[:, 0].copy()
+    for k in range(strides):
+        env._qvel[:, 0] = forward + np.array([0.1, sway[k]])
+        env._reward(still)
+    np.testing.assert_allclose(env.off_speed, [0.1, 0.0], atol=0.03)
+    env._qvel[:, 0] = forward
+    weight = env.settings["reward"]["speed"]
+    assert base[0] - env._reward(still)[0] == pytest.approx(weight * env.off_speed[0] ** 2, rel=0.1)
+    env.reset(np.arange(1))
+    assert env.off_speed[0] == 0
+
+
 def test_falls_of_a_policy_that_cannot_walk_are_counted():
     env = _env(128)
     pushed = pushed_walk(env, _still, force_n=100, minutes=2, settle_s=0.2)

@@ -971,6 +971,7 @@ TwinTrainingRewardSettings = TypedDict(
         "pose_sharpness": float,
         "force": float,
         "force_from_bw": float,
+        "speed": float,
         "slip": float,
     },
 )
@@ -1022,6 +1023,7 @@ TwinEvaluationSettings = TypedDict(
     "TwinEvaluationSettings",
     {
         "walkers": int,
+        "shares": list[float],
         "walk_s": float,
         "settle_s": float,
         "push_minutes": float,

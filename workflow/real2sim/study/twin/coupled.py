@@ -49,17 +49,32 @@ def standing_interface(who: Body, rest: RestPose) -> tuple[np.ndarray, np.ndarra
     return np.eye(3), place + pelvis @ rest.position
 
 
-def walking_interface(policy: Policy, rest: RestPose, stretch_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose (3, 3), (3,) [m] of `standing_interface` at the height that the person's walk has in the mean.
+def walking_interface(
+    who: Body, rest: RestPose, height_m: float, stretch_m: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose (3, 3), (3,) [m] of `standing_interface` at the height that a walk has in the mean.
 
-    A walking pelvis is lower than a standing one, and an arm that holds its height would lift it. ``stretch_m`` is how
-    much higher than at rest the interface is in the pelvis frame while walking, in the mean.
+    A walking pelvis is lower than a standing one, and an arm that holds its height would lift it. ``height_m`` is the
+    mean height over the floor of an unloaded interface (`height_of_interface`), ``stretch_m`` how much higher than at
+    rest the interface is in the pelvis frame while walking, in the mean.
     """
-    level, place = standing_interface(policy.body, rest)
+    level, place = standing_interface(who, rest)
+    place[2] = height_m + stretch_m
+    return level, place
+
+
+def height_of_interface(recording: Recording, who: Body, rest: RestPose, settle_s: float = 0.0) -> float:
+    """Return the mean height [m] over the floor of an interface that stays at its rest pose, after settling."""
+    after = recording.time_s >= settle_s
+    level = recording.pelvis_up[:, after] @ (who.mid_asis + rest.rotation.T @ rest.position)
+    return float(np.nanmean(recording.pelvis_height[:, after] + level))
+
+
+def height_of_reference(policy: Policy, rest: RestPose) -> float:
+    """Return the height of `height_of_interface` in the gait that a policy was trained to walk."""
     qpos, _, _ = policy.reference.at(np.arange(PHASES) / PHASES)
     arm = rotations(qpos[:, 3:7]) @ (policy.body.mid_asis + rest.rotation.T @ rest.position)
-    place[2] = float(np.mean(qpos[:, 2] + arm[:, 2])) + stretch_m
-    return level, place
+    return float(np.mean(qpos[:, 2] + arm[:, 2]))
 
 
 def coupled_spec(
@@ -139,7 +154,8 @@ class Recording:
     """Motion of some walkers, (m, n) unless said otherwise; NaN after a fall.
 
     ``time_s`` (n,); ``joints`` by coordinate [rad]; ``heel_ahead`` of the pelvis, ``heel_along``, ``heel_across`` and
-    ``heel_above`` the floor in the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_yaw`` [rad];
+    ``heel_above`` the floor in the world, by side, and ``along``, the pelvis' path [m]; ``pelvis_height`` over the
+    floor [m], ``pelvis_up`` (m, n, 3) the vertical in the frame of the upright pelvis, ``pelvis_yaw`` [rad];
     ``interface`` (m, n, 6) strap coordinates q; ``wrench`` (m, n, 6) of springs and dampers of the strap on the
     interface along them [N, Nm], without the stops; ``base_speed`` of the robot [m/s], NaN without one; ``alive``,
     ``survived_s`` (m,).
@@ -152,6 +168,8 @@ class Recording:
     heel_across: dict[str, np.ndarray]
     heel_above: dict[str, np.ndarray]
     along: np.ndarray
+    pelvis_height: np.ndarray
+    pelvis_up: np.ndarray
     pelvis_yaw: np.ndarray
     interface: np.ndarray
     wrench: np.ndarray
@@ -317,6 +335,8 @@ class _Walkers:
             {side: s[..., 14 + 3 * i] for i, side in enumerate(FEET)},
             {side: s[..., 15 + 3 * i] for i, side in enumerate(FEET)},
             along,
+            s[..., 2],
+            _vertical(s[..., 3:7]),
             _yaw(s[..., 3:7]),
             kept["q"].astype(float),
             kept["wrench"].astype(float),
@@ -371,8 +391,9 @@ class CoupledWalk(_Walkers):
         Robot, rest pose and joint limits of the interface.
     conditions
         What to simulate.
-    stretch_m
-        Mean vertical stretch of the strap while walking [m], see `walking_interface`.
+    height_m, stretch_m
+        Mean height of the unloaded interface over the floor [m], see `walking_interface`; that of the reference where
+        it is not said. Mean vertical stretch of the strap while walking [m].
     walkers, threads
         Per condition, and threads that step them.
     """
@@ -388,10 +409,12 @@ class CoupledWalk(_Walkers):
         limits: JointLimits | None,
         conditions: list[Condition],
         walkers: int,
+        height_m: float | None = None,
         stretch_m: float = 0.0,
         threads: int = 1,
     ):
-        self._stand = walking_interface(policy, rest, stretch_m)
+        height = height_of_reference(policy, rest) if height_m is None else height_m
+        self._stand = walking_interface(policy.body, rest, height, stretch_m)
         spec = coupled_spec(policy.body, twin["human"], robot, plant, rest, limits, self._stand)
         self._dress(spec, robot)
         if limits is not None:
@@ -411,6 +434,7 @@ class CoupledWalk(_Walkers):
         self._stop = None if limits is None else int(model.sensor("strap_stop").adr[0])
         self._middle = 0.0 if limits is None else float(limits.lower[0] + limits.upper[0]) / 2
         self._stopping_n = twin["coupled"]["stopping_pull_bw"] * policy.body.weight
+        self._first = int(model.sensor("root_position").adr[0])
         self._base = int(self._robot[0])
         self.cap = np.repeat([c.cap for c in conditions], walkers) * policy.reference.speed
         if policy.reference.speeds is not None:
@@ -484,12 +508,25 @@ class CoupledWalk(_Walkers):
         """
         if not self._aware.any():
             return
-        pull = record["qfrc_passive"][..., self._strap[0]].mean(axis=1)
+        taken_up = min(1.0, self.control_s / self._coupled["pull_sense_s"])
+        self._pull += (self._pull_back(record) - self._pull) * taken_up
+        self._share = self._meant(1 - self._pull / self._stopping_n)
+
+    def _pull_back(self, record: dict[str, np.ndarray]) -> np.ndarray:
+        """Return the mean force (n,) [N] over a rollout with which strap and stop hold the person back.
+
+        Level, against where the pelvis heads: its own forward axis leans, and would take an arm that lifts for one that
+        pulls.
+        """
+        along = record["qfrc_passive"][..., self._strap[:3]].copy()
         if self._stop is not None:
             side = np.sign(self._middle - record["qpos"][..., self._strap[0]])
-            pull += (side * record["sensordata"][..., self._stop]).mean(axis=1)
-        self._pull += (pull - self._pull) * min(1.0, self.control_s / self._coupled["pull_sense_s"])
-        self._share = self._meant(1 - self._pull / self._stopping_n)
+            along[..., 0] += side * record["sensordata"][..., self._stop]
+        turned = record["sensordata"][..., self._first + 3 : self._first + 7].reshape(-1, 4)
+        force = np.einsum("ijk,ik->ij", rotations(turned), along.reshape(-1, 3) @ self.rest.rotation)
+        yaw = _yaw(turned)
+        back = force[:, 0] * np.cos(yaw) + force[:, 1] * np.sin(yaw)
+        return np.asarray(back.reshape(along.shape[:2]).mean(axis=1))
 
     def _meant(self, share: np.ndarray) -> np.ndarray:
         """Return the speed that each means to walk at (n,): the aware ``share``, no slower than their gait is known."""
@@ -512,6 +549,12 @@ def _yaw(quaternion: np.ndarray) -> np.ndarray:
     """Return the heading (...) [rad] of unit quaternions (..., 4), w first."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     return np.asarray(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
+
+
+def _vertical(quaternion: np.ndarray) -> np.ndarray:
+    """Return the vertical (..., 3) in the frames that unit quaternions (..., 4), w first, turn into the world's."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
 def _linear(field: np.ndarray, index: int) -> np.ndarray:

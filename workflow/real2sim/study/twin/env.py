@@ -59,6 +59,8 @@ _SCALE = {
 }
 # Speed over the floor from which a heel that slips faster costs no more [m/s]
 _FAST_SLIP = 0.25
+# How far a speed may be off the one that is meant before more costs no more [m/s]: pushes that last have their way
+_FAR_OFF = 0.25
 # Weight of a joint in the imitation reward
 _WEIGHT = {"hip_flexion": 3.0, "knee_angle": 1.0, "ankle_angle": 2.0}
 
@@ -294,6 +296,8 @@ class WalkEnv:
         self._warm, self._push = self.batch.bind("qacc_warmstart"), self.batch.bind("xfrc_applied")
         self._floor_force = np.zeros(nsim)  # see `floor_force_bw` [N]
         self._slip_sq = np.zeros(nsim)  # of the last control step, see `slip_sq`
+        self.off_speed = np.zeros(nsim)  # speed less the one that is meant, over about a stride [m/s]
+        self._fixed_shares: np.ndarray | None = None
         self.phase = np.zeros(nsim)
         self.age = np.zeros(nsim, int)
         self.lane_y = np.zeros(nsim)
@@ -358,30 +362,44 @@ class WalkEnv:
         low, high = settings["range"]
         self._speeds = {**settings, "range": [max(low, float(known[0])), min(high, float(known[-1]))]}
 
+    def walk_at(self, shares: np.ndarray) -> None:
+        """Let everybody mean to walk at shares (nsim,) of the own speed from the next start on."""
+        if self.reference.speeds is None:
+            raise ValueError("the reference knows one speed alone")
+        self._fixed_shares = shares
+
     def _draw_speeds(self, ids: np.ndarray) -> None:
         """Draw the speed at the start of an episode and the one that it goes over to."""
+        if self._fixed_shares is not None:
+            self.share[ids] = self.share_goal[ids] = self._fixed_shares[ids]
+            return
         if self._speeds is None:
             return
         s, n, rng = self._speeds, len(ids), self.rng
         drawn = np.where(rng.uniform(size=n) < s["own"], 1.0, self._between(s["range"], n))
         held = self._held_share[ids] * self._between(s["lead"], n)
-        knows = np.isfinite(held) & (rng.uniform(size=n) < s["held_knows"])
+        knows = self._held[ids] & (rng.uniform(size=n) < s["held_knows"])
         drawn = np.where(knows, held, drawn)
         self.share[ids] = np.clip(drawn, s["range"][0], s["range"][1])
         other = (rng.uniform(size=n) < s["changes"]) & ~knows
         self.share_goal[ids] = np.where(other, self._between(s["range"], n), self.share[ids])
 
     @property
+    def _held(self) -> np.ndarray:
+        """Mask (nsim,) of pelvises that something holds: nobody there walks as fast as they mean to."""
+        return np.asarray(np.isfinite(self._held_share))
+
+    @property
     def _now(self) -> np.ndarray | float:
         """Shares (nsim,), or 1 where everybody walks at the own speed."""
-        return 1.0 if self._speeds is None else self.share
+        return 1.0 if self._speeds is None and self._fixed_shares is None else self.share
 
     def reset(self, ids: np.ndarray, noise: float = 1.0, phase: np.ndarray | None = None) -> None:
         """Start simulations ``ids`` (n,) at phases (n,) of the reference, random without one, with or without noise."""
         n, rng = len(ids), self.rng
         self.phase[ids] = rng.uniform(0, 1, n) if phase is None else phase
         self._draw_speeds(ids)
-        now = self._now if self._speeds is None else self.share[ids]
+        now = self._now if np.ndim(self._now) == 0 else self.share[ids]
         qpos, qvel, _ = self.reference.at(self.phase[ids], now)
         qpos, qvel = qpos.copy(), qvel.copy()
         if noise:
@@ -396,6 +414,7 @@ class WalkEnv:
             self.stops.reset(ids, qpos)
         self.lane_y[ids] = 0.0
         self._last[ids] = 0.0
+        self.off_speed[ids] = 0.0
         self.age[ids] = 0
         self._push_left[ids] = 0
         self._push_next[ids] = self._pause(n)
@@ -520,6 +539,8 @@ class WalkEnv:
         dq = self._qpos[:, 7 : 7 + ACTIONS] - ref_q[:, 7 : 7 + ACTIONS]
         dqd = self._qvel[:, 6 : 6 + ACTIONS] - ref_v[:, 6 : 6 + ACTIONS]
         dv = root.velocity[:, :2] - ref_v[:, :2]
+        # within a stride a person's speed is not that of the reference: what lasts is what counts
+        self.off_speed += (dv[:, 0] - self.off_speed) * self.control_s / self.reference.stride_s
         y = np.clip(root.position[:, 1] - self.lane_y - ref_q[:, 1], -0.4, 0.4)
         posture = np.exp(
             -60 * (root.position[:, 2] - ref_q[:, 2]) ** 2 - 12 * root.tilt_sq - 6 * root.yaw**2 - 4 * y**2
@@ -535,5 +556,6 @@ class WalkEnv:
             - 0.006 * np.sum((action - self._last) ** 2, axis=1)
             - w["force"] * np.minimum(landing, 4.0)
             - w["slip"] * np.minimum(self._slip_sq, _FAST_SLIP**2)
+            - w["speed"] * np.where(self._held, 0.0, np.minimum(self.off_speed**2, _FAR_OFF**2))
         )
         return reward

@@ -163,6 +163,56 @@ def accepted(walk: dict[str, Any], bars: TwinAcceptanceSettings) -> dict[str, bo
     }
 
 
+def walkers_at_speeds(settings: TwinEvaluationSettings) -> int:
+    """Return how many people `speeds_of` looks at: ``walkers`` shared out between the speeds, at least one each."""
+    return len(settings["shares"]) * max(settings["walkers"] // max(len(settings["shares"]), 1), 1)
+
+
+def speeds_of(env: WalkEnv, act: Act, settings: TwinEvaluationSettings) -> list[dict[str, Any]]:
+    """Walk at other speeds, ``shares`` of the slice ``twin.evaluation``; return how each is kept.
+
+    ``env`` has `walkers_at_speeds` simulations. One entry per share: ``falls``, ``speed_m_per_s``, and
+    ``speed_error``, relative to the speed that is meant; None where all fell.
+    """
+    shares, n = settings["shares"], env.nsim
+    each = n // len(shares)
+    steps, settle = (round(settings[name] / env.control_s) for name in ("walk_s", "settle_s"))
+    env.push_force = 0.0
+    env.walk_at(np.repeat(shares, each))
+    env.reset(np.arange(n), 0.0, np.tile(np.arange(each) / each, len(shares)))
+    alive, start_x = np.ones(n, bool), np.zeros(n)
+    for k in range(steps):
+        if k == settle:
+            start_x = env._qpos[:, 0].copy()
+        env.step(act(env.observation()))
+        alive &= ~env.fallen()
+    speed = (env._qpos[:, 0] - start_x) / ((steps - settle) * env.control_s)
+    out = []
+    for i, share in enumerate(shares):
+        rows = slice(i * each, (i + 1) * each)
+        up = speed[rows][alive[rows]]
+        error = float(up.mean()) / (share * env.reference.speed) - 1 if len(up) else None
+        out.append(
+            {
+                "share": share,
+                "falls": each - len(up),
+                "speed_m_per_s": float(up.mean()) if len(up) else None,
+                "speed_error": error,
+            }
+        )
+    return out
+
+
+def keeps_speeds(speeds: list[dict[str, Any]], bars: TwinAcceptanceSettings) -> bool:
+    """Return whether walks of `speeds_of` meet their bar: nobody falls, each speed as exact as the own one."""
+    return all(
+        row["falls"] == 0
+        and row["speed_error"] is not None
+        and abs(row["speed_error"]) <= bars["speed_error"]
+        for row in speeds
+    )
+
+
 def pushed_walk(env: WalkEnv, act: Act, *, force_n: float, minutes: float, settle_s: float) -> dict[str, Any]:
     """Return the falls per minute under pushes of up to ``force_n`` [N] per horizontal axis, after settling.
 

@@ -19,7 +19,14 @@ from real2sim.recording.ingest import WRENCH
 from real2sim.recording.pose_table import read_pose
 from real2sim.recording.trial import load_limits
 from real2sim.study.twin import adaptation
-from real2sim.study.twin.coupled import Condition, CoupledWalk, FreeWalk, Recording, strap_vectors
+from real2sim.study.twin.coupled import (
+    Condition,
+    CoupledWalk,
+    FreeWalk,
+    Recording,
+    height_of_interface,
+    strap_vectors,
+)
 from real2sim.study.twin.evaluate import (
     PUSH_DIRECTIONS,
     PUSH_PHASES,
@@ -27,8 +34,11 @@ from real2sim.study.twin.evaluate import (
     battery_of,
     environment,
     free_walk,
+    keeps_speeds,
     plain,
     pushed_walk,
+    speeds_of,
+    walkers_at_speeds,
     withstands,
 )
 from real2sim.study.twin.gait import SAGITTAL, Walk
@@ -62,7 +72,12 @@ def examined(learnt: Policy, settings: TwinSettings, threads: int) -> dict[str, 
     met = accepted(walk, bars)
     met["pushes"] = withstands(pushes[0], bars)
     met["battery"] = battery["survived_share"] >= bars["battery_share"]
-    return {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
+    found = {"met": met, "walk": plain(walk), "pushes": plain(pushes), "battery": battery, "bars": bars}
+    if learnt.reference.speeds is not None and e["shares"]:
+        env = environment(learnt, settings, nsim=walkers_at_speeds(e), threads=threads, seed=0)
+        found["speeds"] = speeds_of(env, learnt, e)
+        met["speeds"] = keeps_speeds(found["speeds"], bars)
+    return found
 
 
 def twin_evaluate(*, policy: Path, record: Path, settings: TwinSettings, out: Path, threads: int = 1) -> None:
@@ -222,23 +237,24 @@ def twin_coupled(
     settings
         Slices ``twin``, ``plant`` and ``ingest``.
     """
-    twin = settings["twin"]
-    learnt = load_walker(policy, twin["coupled"])
+    twin, learnt = settings["twin"], load_walker(policy, settings["twin"]["coupled"])
     prior, own = read_prior(priors), best_fit(fits)
     interface = _interface_of(neutral, limits, assisted)
     person = Measured.read(normal, assisted, learnt.body, interface[0].rotation)
     cap, source = cap_to_compare(person.walks["walk_robot"], learnt.reference.speed, twin["coupled"])
+    free = walk_free(learnt, twin, cap, threads)
+    height = height_walked(free, cap, learnt.body, interface[0])
     conditions: list[dict[str, Any]] = []
     for machine in walking_robots(twin, robot, study_robot):
         asked = conditions_of(prior, own, twin["coupled"], machine, cap)
-        recording = _walk(learnt, asked, machine, interface, settings, threads)
+        recording = _walk(learnt, asked, machine, interface, height, settings, threads)
         conditions += _compare(recording, asked, machine, cap, person, settings)
     sources = [policy, priors, limits, neutral, robot, study_robot, *fits]
     content = {
         **_about(record, person, priors, fits),
         "parameters": {"prior": as_dict(prior), "own": None if own is None else as_dict(own)},
         **_settings_of(twin, learnt.reference.speed, cap, source),
-        **_free(learnt, twin, cap, person, threads),
+        **_free(free, height, person),
         "conditions": conditions,
         "measured": person.describe(assisted, settings["ingest"]),
         "paper": read_paper(published_gait, published_interface),
@@ -307,10 +323,11 @@ def _walk(
     conditions: list[Condition],
     robot: WalkingRobot,
     interface: Interface,
+    height_m: float | None,
     settings: Settings,
     threads: int,
 ) -> Recording:
-    """Walk with a robot under every condition."""
+    """Walk with a robot under every condition; ``height_m`` as of `CoupledWalk`."""
     twin = settings["twin"]
     walk = CoupledWalk(
         learnt,
@@ -321,34 +338,71 @@ def _walk(
         limits=interface[1],
         conditions=conditions,
         walkers=twin["coupled"]["walkers"],
+        height_m=height_m,
         stretch_m=interface[2],
         threads=threads,
     )
     return walk.run(twin["coupled"]["walk_s"])
 
 
-def _free(
-    learnt: Policy, twin: TwinSettings, main_cap: float, person: Measured, threads: int
-) -> dict[str, Any]:
-    """Return ``free`` and ``free_at_speeds`` of the file: walks without a robot, also as slow as its caps."""
+@dataclass(frozen=True)
+class FreeWalks:
+    """Walks without a robot, as many ``walkers`` at each of ``shares`` of the own speed, one after the other.
+
+    They have settled after ``settle_s`` [s].
+    """
+
+    shares: list[float]
+    walkers: int
+    recording: Recording
+    settle_s: float
+
+    def at(self, index: int) -> Recording:
+        """Return the walkers of one of the shares."""
+        return self.recording.of(np.arange(index * self.walkers, (index + 1) * self.walkers))
+
+
+def walk_free(learnt: Policy, twin: TwinSettings, main_cap: float, threads: int) -> FreeWalks:
+    """Walk without a robot at the own speed, and as slow as the robot's caps where the policy knows other speeds.
+
+    ``twin`` is the slice of the configuration, ``main_cap`` a share of the own speed.
+    """
     coupled = twin["coupled"]
-    walkers, settle = coupled["walkers"], coupled["settle_s"]
     caps = sorted({main_cap, *map(float, coupled["speed_caps"])} - {1.0})
     shares = [1.0, *(caps if learnt.reference.speeds is not None else [])]
-    walk = FreeWalk(learnt, twin=twin, walkers=walkers, threads=threads, shares=shares)
-    recording, real = walk.run(coupled["walk_s"]), person.cycles
+    walk = FreeWalk(learnt, twin=twin, walkers=coupled["walkers"], threads=threads, shares=shares)
+    return FreeWalks(shares, coupled["walkers"], walk.run(coupled["walk_s"]), coupled["settle_s"])
+
+
+def height_walked(free: FreeWalks, main_cap: float, who: Body, rest: RestPose) -> float | None:
+    """Return the mean height [m] over the floor of an unloaded interface while walking, where an arm is set up for it.
+
+    That of the walk without a robot at the speed that is compared, ``main_cap`` of the own one, or at the own speed
+    where the policy knows no other. A policy does not walk at the very height of its reference. None where all fell.
+    """
+    part = free.at(free.shares.index(main_cap) if main_cap in free.shares else 0)
+    part = part.of(np.flatnonzero(part.alive))
+    return height_of_interface(part, who, rest, free.settle_s) if len(part.alive) else None
+
+
+def _free(free: FreeWalks, height_m: float | None, person: Measured) -> dict[str, Any]:
+    """Return ``free`` and ``free_at_speeds`` of the file: walks without a robot, also as slow as its caps.
+
+    ``height_of_interface_m`` beside them is where the robots' arms are set up (`height_walked`).
+    """
     joints, gaits, upright = [], [], []
-    for k in range(len(shares)):
-        part = recording.of(np.arange(k * walkers, (k + 1) * walkers))
-        beside = real.get("walk_robot" if k else "walk_normal")
-        upright.append({"walkers": walkers, "survived": int(part.alive.sum())})
+    for k in range(len(free.shares)):
+        part = free.at(k)
+        beside = person.cycles.get("walk_robot" if k else "walk_normal")
+        upright.append({"walkers": free.walkers, "survived": int(part.alive.sum())})
         part = part.of(np.flatnonzero(part.alive))
-        joints.append(adaptation.describe(adaptation.cycles_of(part, settle), beside))
-        gaits.append(adaptation.gait_of(part, settle))
-    rows = zip(shares[1:], joints[1:], gaits[1:], upright[1:], strict=True)
+        joints.append(adaptation.describe(adaptation.cycles_of(part, free.settle_s), beside))
+        gaits.append(adaptation.gait_of(part, free.settle_s))
+    rows = zip(free.shares[1:], joints[1:], gaits[1:], upright[1:], strict=True)
     return {
         "free": {**joints[0], "gait": gaits[0], **upright[0]},
         "free_at_speeds": [{"share": s, "joints": j, "gait": g, **n} for s, j, g, n in rows],
+        "height_of_interface_m": height_m,
     }
 
 
@@ -545,6 +599,11 @@ def bar_rows(subject: str, e: dict[str, Any]) -> list[dict[str, Any]]:
         ("falls", walk["falls"], 0, met["falls"]),
         ("speed_error", walk["speed_error"], bars["speed_error"], met["speed"]),
     ]
+    for row in e.get("speeds", ()):
+        error, limit = row["speed_error"], bars["speed_error"]
+        name = f"speed_error_at_{100 * row['share']:.0f}_percent"
+        figures.append((name, error, limit, error is not None and abs(error) <= limit))
+        figures.append((f"falls_at_{100 * row['share']:.0f}_percent", row["falls"], 0, row["falls"] == 0))
     for key, bar in (("rom_error_deg", "rom"), ("peak_error_deg", "peak"), ("r", "r"), ("rmse_deg", "rmse")):
         for joint in SAGITTAL:
             value, limit = walk["joints"][joint][key], bars[key][joint]

@@ -28,8 +28,11 @@ from real2sim.study.twin.evaluate import (
     accepted,
     battery_of,
     free_walk,
+    keeps_speeds,
     plain,
     pushed_walk,
+    speeds_of,
+    walkers_at_speeds,
     withstands,
 )
 from real2sim.study.twin.gait import Reference
@@ -196,6 +199,9 @@ class Trainer:
         walk = free_walk(self._env(e["walkers"], 0), policy, seconds=e["walk_s"], settle_s=e["settle_s"])
         met = accepted(walk, bars)
         verdict: dict[str, Any] = {"steps": self.steps, "walk": walk, "met": met}
+        if self.reference.speeds is not None and e["shares"]:
+            verdict["speeds"] = speeds_of(self._env(walkers_at_speeds(e), 0), policy, e)
+            met["speeds"] = keeps_speeds(verdict["speeds"], bars)
         if all(met.values()):
             crowd = self._env(PUSH_DIRECTIONS * PUSH_PHASES, 1)
             verdict["battery"] = battery_of(crowd, policy, e)
@@ -241,6 +247,7 @@ class Trainer:
             "share": env.share,
             "share_goal": env.share_goal,
             "last_action": env._last,
+            "off_speed": env.off_speed,
             "push_left": env._push_left,
             "push_next": env._push_next,
             "impulse": env.impulse,

@@ -163,6 +163,10 @@ def test_drives_of_the_model_are_left_out_and_said(tmp_path):
     own = system(tmp_path, FORCED.format(DRIVES), by="force")
     fit = r2s.identify(own, swing(own))
     assert fit.values["k"] == pytest.approx(20, rel=0.02)
+    first, *rows = str(fit).split("\n")
+    assert first.startswith(f"{own.name}, fitted to {fit.recording}, left: ")
+    assert [row.split()[0] for row in rows] == ["k", "d"]
+    assert all(row.endswith("determined") for row in rows)
     assert fit.values["d"] == pytest.approx(0.6, rel=0.02)
     assert [(f.code, f.place) for f in fit.findings] == [("model_actuators", "actuator servo, geared")]
 

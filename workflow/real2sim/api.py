@@ -70,6 +70,18 @@ class Fit:
         """Verdict on each parameter: determined, weak, not determined or at bound."""
         return {name: known.verdict for name, known in self.known.items()}
 
+    def __str__(self) -> str:
+        """Return what was fitted as plain text."""
+        from real2sim.pages.answer_text import parameter_lines
+
+        units = {p.name: p.unit for p in self.system.parameters}
+        rows = {
+            name: {"value": self.values[name], "unit": units[name], "ci95": k.ci95, "verdict": k.verdict}
+            for name, k in self.known.items()
+        }
+        left = f"left: {self.chi2 / self.samples:.3g} times what noise alone leaves"
+        return "\n".join([f"{self.system.name}, fitted to {self.recording}, {left}", *parameter_lines(rows)])
+
     def table(self) -> pd.DataFrame:
         """Return one row per parameter: value, unit, 95 % interval, verdict."""
         rows = [
@@ -138,6 +150,12 @@ class Diagnosis:
     def where(self) -> dict[str, Any]:
         """Place of the gap: stage, axes, channels, time, frequency, regime."""
         return self.answer.where
+
+    def __str__(self) -> str:
+        """Return the answer as plain text: verdict, what is left, causes with numbers, what to record next."""
+        from real2sim.pages.answer_text import answer_text
+
+        return answer_text(self.system.name, self.answer.to_dict())
 
     def table(self) -> pd.DataFrame:
         """Return one row per cause with some probability: effect, axes, probability, share of the gap closed.

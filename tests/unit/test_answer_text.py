@@ -1,0 +1,83 @@
+"""Answers as plain text."""
+
+import copy
+
+from real2sim.pages.answer_text import answer_text, lines_of
+
+CONTENT = {
+    "verdict": "coulomb",
+    "verdict_set": ["coulomb", "preload"],
+    "probabilities": {"coulomb": 0.6, "preload": 0.35, "none": 0.0, "unknown": 0.05},
+    "considered": [
+        {"effects": ["preload", "coulomb"], "probability": 0.9},
+        {"effects": ["coulomb", "preload"], "probability": 0.05},
+        {"effects": ["coulomb"], "probability": None},
+    ],
+    "gap": {"chi2_plain": [900.0, 5000.0], "chi2_best": [480.0, 510.0], "chi2_expected": [500, 500]},
+    "causes": [
+        {
+            "effect": "coulomb",
+            "axes": ["tx", "tz"],
+            "probability": 0.6,
+            "gap_closed": 0.98,
+            "with": ["preload"],
+            "parameters": {"level_tx_N": {"value": 12.3456, "unit": "N", "ci95": [11.0, 13.0]}},
+        },
+        {
+            "effect": "preload",
+            "axes": [],
+            "probability": 0.35,
+            "gap_closed": None,
+            "with": [],
+            "parameters": {"force_tx_N": {"value": -3.0, "unit": "N"}},
+        },
+        {"effect": "slack", "axes": [], "probability": 0.001, "with": [], "parameters": {}},
+    ],
+    "misfit": {"marked": True, "left_sd": [1.0, 12.4]},
+    "free_form": None,
+    "parameters": {
+        "k_tx": {"with_effect": 800.0, "unit": "N/m", "ci95": [790.0, 810.0], "verdict": "determined"},
+        "d_ry": {"with_effect": 2.0, "unit": "Nms/rad", "ci95": None, "verdict": "not determined"},
+    },
+    "next_trial": "move forward by 74 mm within 0.5 s, " * 4,
+}
+
+
+def test_an_answer_says_cause_numbers_doubt_and_next_trial():
+    lines = answer_text("exo", CONTENT).split("\n")
+    assert lines[:7] == [
+        "exo: coulomb and preload, probability 0.950",
+        "Left of the held-out recording, in units of noise (1: noise alone): 10 by the plain model, 1.02 with what "
+        "was found",
+        "coulomb along tx and tz: probability 0.600, closes 98 % of the gap, with preload",
+        "  level_tx_N  12.35 N  11 to 13",
+        "preload: probability 0.350",
+        "  force_tx_N  -3 N",
+        "Its form may not be right: it leaves up to 12 standard deviations of noise.",
+    ]
+    assert lines[7:10] == [
+        "Parameters of the model:",
+        "  k_tx  800 N/m    790 to 810  determined",
+        "  d_ry  2 Nms/rad              not determined",
+    ]
+    assert lines[10].startswith("To be recorded next: move forward")
+    assert max(map(len, lines[10:])) <= 100
+    assert "slack" not in "\n".join(lines)
+
+
+def test_none_is_said_in_two_lines():
+    content = copy.deepcopy(CONTENT) | {
+        "verdict": "none",
+        "verdict_set": ["none"],
+        "causes": [],
+        "parameters": {},
+    }
+    content |= {"misfit": None, "next_trial": None}
+    content["probabilities"]["none"] = 0.99
+    lines = answer_text("exo", content).split("\n")
+    assert lines[0] == "exo: none, probability 0.990"
+    assert len(lines) == 2
+
+
+def test_cells_stand_below_each_other():
+    assert lines_of([["a", "bb"], ["ccc", ""]]) == ["a    bb", "ccc"]

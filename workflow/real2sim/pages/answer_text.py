@@ -1,0 +1,85 @@
+"""Fits and diagnoses as plain text, for a terminal or a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from textwrap import fill
+from typing import Any
+
+from real2sim.pages.law import law_sentence
+from real2sim.pages.page import percent
+
+# Causes that are less likely are left out
+_LEAST = 0.01
+_WIDTH = 100  # of a line of prose
+
+
+def lines_of(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return rows of cells as lines, their columns below each other."""
+    table = [list(row) for row in rows]
+    widths = [max(len(cell) for cell in column) for column in zip(*table, strict=True)]
+    return ["  ".join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip() for row in table]
+
+
+def parameter_lines(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return one line per parameter: name, value, unit, 95 % interval and verdict, as far as each has them."""
+    rows = []
+    for name, entry in parameters.items():
+        low, high = entry.get("ci95") or (None, None)
+        interval = "" if low is None else f"{low:.4g} to {high:.4g}"
+        value = entry["value"] if "value" in entry else entry["with_effect"]
+        rows.append([f"  {name}", f"{value:.4g} {entry['unit']}", interval, entry.get("verdict") or ""])
+    return lines_of(rows)
+
+
+def answer_text(name: str, content: Mapping[str, Any]) -> str:
+    """Return what a diagnosis of the system or person ``name`` says; ``content`` is that of diagnosis.json."""
+    lines = [f"{name}: {_verdict(content)}", _gap_line(content["gap"])]
+    for cause in content["causes"]:
+        if cause["probability"] >= _LEAST:
+            lines += _cause_lines(cause)
+    if content["misfit"] and content["misfit"]["marked"]:
+        worst = max(content["misfit"]["left_sd"])
+        lines.append(f"Its form may not be right: it leaves up to {worst:.0f} standard deviations of noise.")
+    if content["free_form"] is not None:
+        lines.append(_wrapped(law_sentence(content["free_form"])))
+    if content["parameters"]:
+        lines += ["Parameters of the model:", *parameter_lines(content["parameters"])]
+    if content["next_trial"]:
+        lines.append(_wrapped(f"To be recorded next: {content['next_trial']}"))
+    return "\n".join(lines)
+
+
+def _verdict(content: Mapping[str, Any]) -> str:
+    """Return the verdict with its probability: of a set that of all its forms and places together."""
+    names = content["verdict_set"]
+    if names in ([], [content["verdict"]]):
+        probability = content["probabilities"][content["verdict"]]
+    else:
+        same = [row["probability"] for row in content["considered"] if set(row["effects"]) == set(names)]
+        probability = sum(p or 0.0 for p in same)
+    named = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else content["verdict"]
+    return f"{named}, probability {probability:.3f}"
+
+
+def _wrapped(text: str) -> str:
+    return fill(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def _gap_line(gap: Mapping[str, Any]) -> str:
+    """Return what is left of the trial that was not fitted, in units of what noise leaves of it."""
+    noise = gap["chi2_expected"][-1]
+    plain, best = (gap[key][-1] / noise for key in ("chi2_plain", "chi2_best"))
+    return (
+        f"Left of the held-out recording, in units of noise (1: noise alone): {plain:.3g} by the plain model, "
+        f"{best:.3g} with what was found"
+    )
+
+
+def _cause_lines(cause: Mapping[str, Any]) -> list[str]:
+    where = f" along {' and '.join(cause['axes'])}" if cause["axes"] else ""
+    beside = f", with {' and '.join(cause['with'])}" if cause["with"] else ""
+    share = cause.get("gap_closed")
+    closes = "" if share is None else f", closes {percent(share)} of the gap"
+    head = f"{cause['effect']}{where}: probability {cause['probability']:.3f}{closes}{beside}"
+    return [head, *parameter_lines(cause["parameters"])]

@@ -379,6 +379,21 @@ def test_milliseconds_and_millimetres_are_told(copy, milliseconds, millimetres, 
     assert "milli" in text
 
 
+@pytest.mark.parametrize(
+    ("joint", "factor", "told"),
+    [("arm_roll", 180 / np.pi, "degrees?"), ("arm_lift", 1000.0, "millimetres?")],
+)
+def test_a_log_in_degrees_or_millimetres_is_told(copy, joint, factor, told):
+    folder, run = copy
+    path = folder / "dynamic_1.mcap"
+    log = read_log(path, SETTINGS["robot_log"]["stamps"], SETTINGS["max_gap_s"])
+    joints = log.joints | {joint: log.joints[joint] * factor}
+    write_log(path, replace(log, joints=joints))
+    text = refusal(run)
+    assert f"/joint_states, {joint}" in text
+    assert told in text
+
+
 def test_log_of_another_trial(copy):
     folder, run = copy
     log = read_log(folder / "dynamic_1.mcap")

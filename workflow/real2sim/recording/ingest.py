@@ -508,6 +508,7 @@ def _robot(
         log = read_log(trial.log, trial.settings["robot_log"]["stamps"], gap)
     trial.findings.extend(log.findings)
     _check_log(trial.log, log, trial.settings["robot_log"]["least_s"], gap)
+    units.check_log(trial.log, log)
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
     base_time, base = _unique(trial, log.base_time_s, np.column_stack(list(log.base.values())), "/odom")

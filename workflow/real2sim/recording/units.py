@@ -11,7 +11,7 @@ import numpy as np
 from real2sim import geometry
 from real2sim.errors import InputError
 from real2sim.recording.alignment import PelvisPath
-from real2sim.recording.formats.recordings import CoordinateRecording
+from real2sim.recording.formats.recordings import CoordinateRecording, RobotLog
 
 if TYPE_CHECKING:
     from real2sim.settings import IngestUnitsSettings
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 _STOPPED = re.compile(r"pelvis_(tilt|list)|(hip|knee|ankle|subtalar|mtp|lumbar)_(?!.*beta).*")
 # What counts as a factor of a thousand: no two systems differ so much in what they see of one pelvis
 _THOUSAND = (300.0, 3000.0)
+# What no joint of the arm reaches in its unit [rad, m], and the unit in which it would
+_ARM_REACHES = {
+    "arm_lift": (3.0, "m", "millimetres"),
+    "arm_roll": (1.6, "rad", "degrees"),
+    "arm_pitch": (1.6, "rad", "degrees"),
+}
 _TO_DEGREES = "write inDegrees=yes into the header, or export again in degrees"
 _TO_RADIANS = "write inDegrees=no into the header, or export again in degrees"
 
@@ -111,6 +117,17 @@ def check_pelvis(
         remedy = "export the coordinates again in degrees, and check how they are converted"
     expected = f"less than {limits['ratio']:g} times as much or as little"
     raise InputError(path, "pelvis", found, expected, remedy, "units_contradicted")
+
+
+def check_log(path: Path, log: RobotLog) -> None:
+    """Refuse arm angles in degrees and a lift in millimetres: no arm rolls or pitches that far, or is that high."""
+    for joint, (most, unit, other) in _ARM_REACHES.items():
+        positions = log.joints[joint][:, 0]
+        reached = float(np.nanmax(np.abs(positions), initial=0.0))
+        if reached > most:
+            found, expected = f"{reached:.4g} {unit}: {other}?", f"{unit}, at most {most:g}"
+            place, remedy = f"topic /joint_states, {joint}", f"publish {joint} in {unit}"
+            raise InputError(path, place, found, expected, remedy, "units_contradicted")
 
 
 def _turned_deg(rotation: np.ndarray) -> float:

@@ -67,7 +67,7 @@ def test_nothing_is_named_where_there_is_nothing_and_the_answer_is_the_same_bits
             answer.table().to_string()
         )
         answer.save(path)
-    assert str(answer).startswith(f"{answer.system.name}: none, probability 0.")
+    assert str(answer).startswith(f"{answer.system.name}: none, probability ")
     assert files[0].read_bytes() == files[1].read_bytes()
 
 

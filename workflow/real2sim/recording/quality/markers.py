@@ -28,26 +28,41 @@ def without_unseen(positions: Mapping[str, np.ndarray], needed: Collection[str])
 
 
 def find_frozen(positions: Mapping[str, np.ndarray]) -> list[Gap]:
-    """Return the spans [start, stop) over which a marker (n, 3) stands still to the last digit while others move.
+    """Return the spans [start, stop) over which a marker (n, 3) [m] stands still to the last digit while others move.
 
-    That is a gap that somebody filled with its last sample. Where most of the other markers stand still as well, nobody
-    moves and the file has few digits.
+    That is a gap that somebody filled with its last sample. The others have to move by several of the steps in which
+    the file counts: in one with few digits, a slow marker repeats itself.
     """
     seen = {name: signals.known(values) for name, values in positions.items()}
     repeats = {
         name: np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)])
         for name, values in positions.items()
     }
+    runs = [
+        (name, run)
+        for name, again in repeats.items()
+        for run in signals.segments(again & seen[name])
+        if run.stop - run.start >= _FROZEN
+    ]
+    least = _MOVED_STEPS * _step(positions) if runs else 0.0
     out = []
-    for name, again in repeats.items():
-        for run in signals.segments(again & seen[name]):
-            if run.stop - run.start < _FROZEN:
-                continue
-            others = [repeats[o][run][seen[o][run]] for o in positions if o != name]
-            still = np.concatenate(others) if others else np.ones(1, bool)
-            if len(still) and still.mean() < _FEW_STILL:
-                out.append(Gap(name, run.start, run.stop))
+    for name, run in runs:
+        moved = [
+            float(np.abs(values[run] - values[run.start]).max())
+            for other, values in positions.items()
+            if other != name and seen[other][run].all()
+        ]
+        if moved and np.median(moved) >= least:
+            out.append(Gap(name, run.start, run.stop))
     return out
+
+
+def _step(positions: Mapping[str, np.ndarray]) -> float:
+    """Return the step [m] in which a file counts: the smallest change of a coordinate from one frame to the next."""
+    changes = np.abs(np.concatenate([np.diff(values, axis=0).ravel() for values in positions.values()]))
+    # what binary numbers make of a decimal is no step
+    changes = changes[changes > _NO_STEP]
+    return float(changes.min()) if len(changes) else np.inf
 
 
 def without_frozen(positions: Mapping[str, np.ndarray], frozen: Collection[Gap]) -> dict[str, np.ndarray]:
@@ -67,8 +82,9 @@ _UPRIGHT = 0.3  # least cosine of the pelvis' up axis to the vertical, and of th
 _ENOUGH = 50  # frames to see how skin slides
 _ROUNDS = 15  # of reweighting
 _HUBER = 2.0  # in median absolute residuals, 1.35 SD of a normal distribution
-_FROZEN = 4  # frames that repeat the one before to the last digit: a coarse export may repeat one or two
-_FEW_STILL = 0.5  # share of the other markers' frames that repeat too, from which on nothing moves
+_FROZEN = 4  # frames that repeat the one before to the last digit
+_MOVED_STEPS = 5.0  # of the file's own steps, by which the other markers have to move meanwhile
+_NO_STEP = 1e-9  # [m]
 _SPIKE_FRAMES = 7  # of the running median: spikes of up to three frames stand out of it
 
 

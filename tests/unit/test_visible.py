@@ -7,18 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from real2sim.diagnosis.refit import JointResiduals
-from real2sim.diagnosis.visible import (
-    _confirmed,
-    _crossed,
-    _ladders,
-    _Left,
-    _occam,
-    _told_at,
-    _Trials,
-    of_size,
-)
+from real2sim.diagnosis.visible import _confirmed, _crossed, _Left, _occam, _Trials, of_size
 from real2sim.effects.base import Scales
-from real2sim.effects.catalogue import EFFECTS, Placed
 from real2sim.system.description import shipped_system
 
 STRAP = shipped_system("strap")
@@ -83,36 +73,6 @@ def test_the_smallest_visible_size_is_where_it_is_sure_to_earn_what_it_needs():
     assert _crossed(sizes, np.array([500.0, 300.0, 600.0, 600.0]), needed) == pytest.approx(
         2 * 2 ** (np.log(4 / 3) / np.log(2)), rel=1e-6
     )
-
-
-@pytest.mark.parametrize("shown_from", [1e-9, 0.7, 3.0, 6.0, 30.0, 1e9])
-@pytest.mark.parametrize("failing", [(), (5,), (0, 13)])
-def test_few_sizes_say_the_same_as_all(shown_from: float, failing: tuple[int, ...]):
-    effect = next(e for e in EFFECTS if e.name == "coulomb")
-    placed = Placed(effect, next(iter(effect.places(STRAP))), SCALES)
-    ((index, x),) = _ladders(placed)
-    sizes = placed.values(x)[:, index]
-    simulated = []
-
-    def left(_: Placed, rows: np.ndarray) -> list[_Left | None]:
-        out: list[_Left | None] = []
-        for row in rows:
-            i = int(np.argmin(np.abs(x[:, 0] - row[0])))
-            simulated.append(i)
-            told = 100 * float(sizes[i] / shown_from) ** 2
-            out.append(None if i in failing else _Left((told / 2, told / 2), 0.0, 1e9, 0.0))
-        return out
-
-    trials = SimpleNamespace(left=left, gain=100.0, hidden=0.0)
-    _, few = _told_at(placed, index, x, trials)
-    count, simulated[:] = len(simulated), []
-    told = [None if one is None else one.by_trial[0] for one in left(placed, x)]
-    occam = _occam(placed, index, x, np.array([np.nan if t is None else t for t in told]))
-    everything = np.array(
-        [np.nan if t is None else 2 * t / (100.0 + o) for t, o in zip(told, occam, strict=True)]
-    )
-    assert _crossed(sizes, few, np.ones(len(x))) == _crossed(sizes, everything, np.ones(len(x)))
-    assert count <= (14 if {0, 13} & set(failing) else 8)
 
 
 def test_a_size_that_cannot_be_simulated_is_passed_over():

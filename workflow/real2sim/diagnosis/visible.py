@@ -29,8 +29,8 @@ from real2sim.system.description import System
 if TYPE_CHECKING:
     from real2sim.settings import DiagnosisSettings
 
-# Sizes between the smallest and the largest that is searched, and how many of them are simulated at first
-_SIZES, _FEW_SIZES = 14, 5
+# Sizes that are simulated, between the smallest and the largest that is searched
+_SIZES = 14
 # Smallest size of a parameter that may be nothing, as a share of the largest
 _SMALLEST = 1e-3
 # Step [ln] of a plain parameter from which on the tangent is not believed; how often it is refitted then, and by how
@@ -218,7 +218,12 @@ class _Trials:
 
 
 def _entry(placed: Placed, index: int, x: np.ndarray, trials: _Trials) -> dict[str, Any]:
-    left, sure = _told_at(placed, index, x, trials)
+    left = trials.left(placed, x)
+    fitted = np.array([np.nan if one is None else one.by_trial[0] for one in left])
+    occam = _occam(placed, index, x, fitted)
+    sure = np.array(
+        [np.nan if one is None else one.sure(o, trials) for one, o in zip(left, occam, strict=True)]
+    )
     sizes = np.array([placed.values(row[None])[0, index] for row in x])
     size = _crossed(sizes, sure, np.ones(len(x)))
     if size is not None:
@@ -236,39 +241,6 @@ def _entry(placed: Placed, index: int, x: np.ndarray, trials: _Trials) -> dict[s
         "from": size,
         "unit": parameter.unit_for(rotational=rotational),
     }
-
-
-def _told_at(
-    placed: Placed, index: int, x: np.ndarray, trials: _Trials
-) -> tuple[list[_Left | None], np.ndarray]:
-    """Return leftovers and how surely each of the sizes (s, p) is told (s,), NaN where that was not simulated.
-
-    A few sizes first, then those between the two amid which an effect begins to show: the others say nothing more.
-    """
-    left: list[_Left | None] = [None] * len(x)
-    sure = np.full(len(x), np.nan)
-
-    def simulate(rows: np.ndarray) -> None:
-        if not len(rows):
-            return
-        found = trials.left(placed, x[rows])
-        fitted = np.array([np.nan if one is None else one.by_trial[0] for one in found])
-        for i, one, occam in zip(rows, found, _occam(placed, index, x[rows], fitted), strict=True):
-            left[i] = one
-            sure[i] = np.nan if one is None else one.sure(float(occam), trials)
-
-    few = np.unique(np.linspace(0, len(x) - 1, _FEW_SIZES).round().astype(int))
-    simulate(few)
-    told = few[np.isfinite(sure[few])]
-    short, enough = told[sure[told] < 1], told[sure[told] >= 1]
-    rest = np.setdiff1d(np.arange(len(x)), few)
-    if not np.isfinite(sure[few[[0, -1]]]).all():  # MuJoCo gave up at an end: what lies inside may say more
-        simulate(rest)
-    elif len(enough) and (short < enough[-1]).any():
-        last_short = short[short < enough[-1]][-1]
-        first_enough = told[told > last_short][0]
-        simulate(rest[(rest > last_short) & (rest < first_enough)])
-    return left, sure
 
 
 def _confirmed(

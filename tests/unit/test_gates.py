@@ -306,22 +306,22 @@ def test_a_gap_that_was_filled_with_its_last_sample_is_a_gap():
     positions, _ = _pelvis(600, 0.0)
     noise = np.random.default_rng(3)
     positions = {name: values + noise.normal(0, 2e-4, values.shape) for name, values in positions.items()}
-    assert markers.find_frozen(positions) == []
+    assert markers.find_frozen(positions, **CONFIG["ingest"]["frozen"]) == []
     positions["IF_L"][101:140] = positions["IF_L"][100]
     positions["ASIS_R"][120:130] = positions["ASIS_R"][119]
-    frozen = markers.find_frozen(positions)
+    frozen = markers.find_frozen(positions, **CONFIG["ingest"]["frozen"])
     assert frozen == [markers.Gap("ASIS_R", 120, 130), markers.Gap("IF_L", 101, 140)]
     masked = markers.without_frozen(positions, frozen)
     assert markers.find_gaps(masked) == frozen
     # an export with few digits, in which nobody moves, or slowly
     still = {name: np.round(values[:1] + 0 * values, 3) for name, values in positions.items()}
-    assert markers.find_frozen(still) == []
+    assert markers.find_frozen(still, **CONFIG["ingest"]["frozen"]) == []
     slow, _ = _pelvis(6000, 0.0)
     slow = {name: np.round(values + noise.normal(0, 2e-4, values.shape), 3) for name, values in slow.items()}
     assert any(((np.diff(v[:, 0]) == 0)[k : k + 4]).all() for v in slow.values() for k in range(500))
-    assert markers.find_frozen(slow) == []
+    assert markers.find_frozen(slow, **CONFIG["ingest"]["frozen"]) == []
     slow["IF_L"][101:180] = slow["IF_L"][100]
-    (gap,) = markers.find_frozen(slow)
+    (gap,) = markers.find_frozen(slow, **CONFIG["ingest"]["frozen"])
     assert (gap.marker, gap.stop) == ("IF_L", 180)
     assert gap.start in (100, 101)
 

@@ -62,6 +62,17 @@ IngestUnitsSettings = TypedDict(
         "marker_extent_m": list[float],
         "largest_angle_deg": float,
         "pelvis_angles": IngestUnitsPelvisAnglesSettings,
+        "thousand": list[float],
+        "arm_lift_m": float,
+        "arm_angle_rad": float,
+    },
+)
+
+IngestFrozenSettings = TypedDict(
+    "IngestFrozenSettings",
+    {
+        "frames": int,
+        "moved_steps": float,
     },
 )
 
@@ -122,6 +133,7 @@ IngestSettings = TypedDict(
         "skin": IngestSkinSettings,
         "max_marker_jump_m": float,
         "units": IngestUnitsSettings,
+        "frozen": IngestFrozenSettings,
         "swap": IngestSwapSettings,
         "markerless": IngestMarkerlessSettings,
         "robot_log": IngestRobotLogSettings,

@@ -89,7 +89,7 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
         trial.note(
             "marker_unseen", "info", trial.tsv, listed, "labelled and never seen", "taken as not there"
         )
-    frozen = markers.find_frozen(used)
+    frozen = markers.find_frozen(used, **trial.settings["frozen"])
     for gap in frozen:
         place = f"{gap.marker}, rows {gap.start + 1} to {gap.stop}"
         message = f"the same coordinates in {gap.stop - gap.start} frames while other markers move"
@@ -330,7 +330,7 @@ def _joints(
         units.check_angles(trial.mot, recording, trial.settings["units"])
         kind, columns, pelvis = "coordinates", recording.columns, _coordinate_pelvis(trial, recording)
         ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
-        units.check_thousands(trial.mot, recording, ours, pelvis)
+        units.check_thousands(trial.mot, recording, ours, pelvis, trial.settings["units"])
         units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     else:
         kind = "landmarks"
@@ -508,7 +508,7 @@ def _robot(
         log = read_log(trial.log, trial.settings["robot_log"]["stamps"], gap)
     trial.findings.extend(log.findings)
     _check_log(trial.log, log, trial.settings["robot_log"]["least_s"], gap)
-    units.check_log(trial.log, log)
+    units.check_log(trial.log, log, trial.settings["units"])
     offset, report = _synchronise_log(trial, clock, positions, log)
     report["stamp_delay_s"] = _stamp_delays(trial, trial.log, log)
     base_time, base = _unique(trial, log.base_time_s, np.column_stack(list(log.base.values())), "/odom")

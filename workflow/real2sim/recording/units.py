@@ -18,14 +18,6 @@ if TYPE_CHECKING:
 
 # Joints that stop short of half a turn. Not the pelvis' heading and the arms; knee_angle_r_beta is the patella's.
 _STOPPED = re.compile(r"pelvis_(tilt|list)|(hip|knee|ankle|subtalar|mtp|lumbar)_(?!.*beta).*")
-# What counts as a factor of a thousand: no two systems differ so much in what they see of one pelvis
-_THOUSAND = (300.0, 3000.0)
-# What no joint of the arm reaches in its unit [rad, m], and the unit in which it would
-_ARM_REACHES = {
-    "arm_lift": (3.0, "m", "millimetres"),
-    "arm_roll": (1.6, "rad", "degrees"),
-    "arm_pitch": (1.6, "rad", "degrees"),
-}
 _TO_DEGREES = "write inDegrees=yes into the header, or export again in degrees"
 _TO_RADIANS = "write inDegrees=no into the header, or export again in degrees"
 
@@ -59,20 +51,26 @@ def check_angles(path: Path, recording: CoordinateRecording, settings: IngestUni
     raise InputError(path, f"column {name}", found, f"at most {limit:g} deg", remedy, "units_contradicted")
 
 
-def check_thousands(path: Path, recording: CoordinateRecording, ours: PelvisPath, other: PelvisPath) -> None:
+def check_thousands(
+    path: Path,
+    recording: CoordinateRecording,
+    ours: PelvisPath,
+    other: PelvisPath,
+    settings: IngestUnitsSettings,
+) -> None:
     """Refuse times in milliseconds and translations in millimetres, by the clock and the pelvis of the markers.
 
     ``ours`` is the pelvis of the markers, ``other`` that of the coordinates; each on its own clock.
     """
-    lasts = [float(np.ptp(time_s)) for time_s in (recording.time_s, ours.time_s)]
-    if _is_thousand(*lasts):
-        found = f"{lasts[0]:.4g} s of coordinates beside {lasts[1]:.4g} s of markers: milliseconds?"
+    lasts, ours_lasts = float(np.ptp(recording.time_s)), float(np.ptp(ours.time_s))
+    if _is_thousand(lasts, ours_lasts, settings):
+        found = f"{lasts:.4g} s of coordinates beside {ours_lasts:.4g} s of markers: milliseconds?"
         remedy = "export the times in seconds"
         raise InputError(path, "column time", found, "times in seconds", remedy, "units_contradicted")
-    travelled = [_travelled(other.position), _travelled(ours.position)]
-    if _is_thousand(*travelled):
+    travelled, ours_travelled = _travelled(other.position), _travelled(ours.position)
+    if _is_thousand(travelled, ours_travelled, settings):
         found = (
-            f"a pelvis that travels by {travelled[0]:.3g} m (RMS), and by {travelled[1]:.3g} m in the markers"
+            f"a pelvis that travels by {travelled:.3g} m (RMS), and by {ours_travelled:.3g} m in the markers"
         )
         remedy = "export the translations in metres"
         raise InputError(
@@ -80,9 +78,10 @@ def check_thousands(path: Path, recording: CoordinateRecording, ours: PelvisPath
         )
 
 
-def _is_thousand(one: float, other: float) -> bool:
+def _is_thousand(one: float, other: float, settings: IngestUnitsSettings) -> bool:
     """Return whether one number is about a thousand times the other: a wrong unit, and no difference of two systems."""
-    return _THOUSAND[0] * other < one < _THOUSAND[1] * other
+    least, most = settings["thousand"]
+    return least * other < one < most * other
 
 
 def check_pelvis(
@@ -119,9 +118,15 @@ def check_pelvis(
     raise InputError(path, "pelvis", found, expected, remedy, "units_contradicted")
 
 
-def check_log(path: Path, log: RobotLog) -> None:
+def check_log(path: Path, log: RobotLog, settings: IngestUnitsSettings) -> None:
     """Refuse arm angles in degrees and a lift in millimetres: no arm rolls or pitches that far, or is that high."""
-    for joint, (most, unit, other) in _ARM_REACHES.items():
+    angle = settings["arm_angle_rad"], "rad", "degrees"
+    reaches = {
+        "arm_lift": (settings["arm_lift_m"], "m", "millimetres"),
+        "arm_roll": angle,
+        "arm_pitch": angle,
+    }
+    for joint, (most, unit, other) in reaches.items():
         positions = log.joints[joint][:, 0]
         reached = float(np.nanmax(np.abs(positions), initial=0.0))
         if reached > most:

@@ -27,11 +27,12 @@ def without_unseen(positions: Mapping[str, np.ndarray], needed: Collection[str])
     }
 
 
-def find_frozen(positions: Mapping[str, np.ndarray]) -> list[Gap]:
+def find_frozen(positions: Mapping[str, np.ndarray], *, frames: int, moved_steps: float) -> list[Gap]:
     """Return the spans [start, stop) over which a marker (n, 3) [m] stands still to the last digit while others move.
 
-    That is a gap that somebody filled with its last sample. The others have to move by several of the steps in which
-    the file counts: in one with few digits, a slow marker repeats itself.
+    That is a gap that somebody filled with its last sample: ``frames`` and more that repeat the one before. The others
+    have to move by ``moved_steps`` of the steps in which the file counts: in one with few digits, a slow marker repeats
+    itself.
     """
     seen = {name: signals.known(values) for name, values in positions.items()}
     repeats = {
@@ -42,9 +43,9 @@ def find_frozen(positions: Mapping[str, np.ndarray]) -> list[Gap]:
         (name, run)
         for name, again in repeats.items()
         for run in signals.segments(again & seen[name])
-        if run.stop - run.start >= _FROZEN
+        if run.stop - run.start >= frames
     ]
-    least = _MOVED_STEPS * _step(positions) if runs else 0.0
+    least = moved_steps * _step(positions) if runs else 0.0
     out = []
     for name, run in runs:
         moved = [
@@ -82,9 +83,7 @@ _UPRIGHT = 0.3  # least cosine of the pelvis' up axis to the vertical, and of th
 _ENOUGH = 50  # frames to see how skin slides
 _ROUNDS = 15  # of reweighting
 _HUBER = 2.0  # in median absolute residuals, 1.35 SD of a normal distribution
-_FROZEN = 4  # frames that repeat the one before to the last digit
-_MOVED_STEPS = 5.0  # of the file's own steps, by which the other markers have to move meanwhile
-_NO_STEP = 1e-9  # [m]
+_NO_STEP = 1e-9  # a smaller change of a coordinate is rounding [m]
 _SPIKE_FRAMES = 7  # of the running median: spikes of up to three frames stand out of it
 
 

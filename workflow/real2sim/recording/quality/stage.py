@@ -64,7 +64,7 @@ def raw_trial(
     named = {marker_names.get(lab, lab): values for lab, values in recording.positions.items()}
     labelled = {marker: named[marker] @ rotation.T for marker in markers.MARKERS if marker in named}
     world = markers.without_unseen(labelled, markers.needed(parse_trial(name)[0]))
-    world = markers.without_frozen(world, markers.find_frozen(world))
+    world = markers.without_frozen(world, markers.find_frozen(world, **settings["frozen"]))
     if not world:
         found = f"markers {', '.join(named) or 'none'}"
         remedy = "label them in QTM, or say which of the lab's names they are under markers: in subject.yaml"

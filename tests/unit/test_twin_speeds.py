@@ -121,6 +121,17 @@ def _env(n: int, gait: Reference) -> WalkEnv:
     return WalkEnv(WHO, settings["human"], gait, settings["training"], nsim=n, threads=1, seed=1)
 
 
+def test_a_strap_is_as_high_as_the_pelvis_at_the_held_speed():
+    env, hold = _env(60, adaptable()), twin_settings()["training"]["hold"]
+    env.hold(hold | {"share": 0.6, "stops": hold["stops"] | {"share": 0.0}, "speed": [0.7, 1.0]})
+    held, shares = env._held, env._held_share
+    own, slowest = env.reference.height_at(1.0), env.reference.height_at(np.array([0.7]))[0]
+    assert slowest > own + 0.003, "whoever walks slower takes shorter steps and is higher"
+    np.testing.assert_allclose(env._strap_height[~held], own)
+    np.testing.assert_allclose(env._strap_height[held], env.reference.height_at(shares[held]))
+    assert np.ptp(env._strap_height[held]) > 0.5 * (slowest - own)
+
+
 def test_people_in_training_mean_to_walk_at_speeds_of_their_own():
     settings = twin_settings()["training"]
     env = _env(400, adaptable())

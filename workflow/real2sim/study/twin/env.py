@@ -311,7 +311,8 @@ class WalkEnv:
         self._push_left = np.zeros(nsim, int)
         self._push_next = np.zeros(nsim, int)
         self._weights = np.array([_WEIGHT.get(base_name(j), 0.7) for j in COMMANDED])
-        self._height = float(reference.qpos[:, 2].mean())
+        self._height = float(reference.height_at(1.0))
+        self._strap_height = np.full(nsim, self._height)  # of the pelvis, where vertical springs rest [m]
         self.mirrored = np.zeros(nsim, bool)
         # speed that each means to walk at, as a share of their own, and where it goes to; alike for all without `vary`
         self.share, self.share_goal = np.ones(nsim), np.ones(nsim)
@@ -324,8 +325,9 @@ class WalkEnv:
         ``settings`` is ``twin.training.hold``; its values are the largest, drawn once per simulation. The damper along
         the path pulls toward a speed within ``speed`` (shares of the person's own); of those held, a share is only
         towed by it. The others have springs and an inertia in yaw as well. Springs rest in the lane, upright, at the
-        mean height of the gait, at which the arms of coupled walks stand. Another share of the simulations hangs in a
-        strap that does nothing before its stops (`Stops`).
+        mean height of the gait at the held speed, at which the arms of coupled walks stand: whoever walks slower takes
+        shorter steps and is higher. Another share of the simulations hangs in a strap that does nothing before its
+        stops (`Stops`).
         """
         rng, n = self.rng, self.nsim
         drawn = rng.uniform(size=n)
@@ -346,6 +348,7 @@ class WalkEnv:
         speed = self.reference.speed * self._between(settings["speed"], n)
         self._drag = damping[:, 0] * speed
         self._held_share[held] = speed[held] / self.reference.speed
+        self._strap_height[held] = self.reference.height_at(self._held_share[held])
         loose = ~held & (drawn < settings["share"] + settings["stops"]["share"])
         if loose.any():
             self._held_share[loose] = speed[loose] / self.reference.speed
@@ -474,7 +477,7 @@ class WalkEnv:
         away = np.column_stack(
             [
                 root.position[:, 1] - self.lane_y,
-                root.position[:, 2] - self._height,
+                root.position[:, 2] - self._strap_height,
                 turn[:, 2, 1],
                 -turn[:, 2, 0],
             ]

@@ -332,6 +332,12 @@ class Reference:
             return self.speed
         return self.speed * np.clip(share, self.speeds.shares[0], self.speeds.shares[-1])
 
+    def height_at(self, share: np.ndarray | float) -> np.ndarray | float:
+        """Return mean heights (m,) of the pelvis [m] at shares (m,) of the own speed; as of `stride_at`."""
+        if self.speeds is None or np.ndim(share) == 0:
+            return float(self.qpos[:, 2].mean())
+        return np.asarray(np.interp(share, self.speeds.shares, self.speeds.table[:, :, 2].mean(axis=1)))
+
     def curve(self, joint: str) -> np.ndarray:
         """One joint over the cycle (PHASES,) [rad]."""
         return self.qpos[:, 7 + JOINTS.index(joint)]

@@ -220,6 +220,24 @@ def test_drive_bridges_a_gap_and_refuses_a_turn_beyond_the_servo():
         pelvis_drive(t, rotation_xyz(np.column_stack([0 * t, 0 * t, 1.0 * t])), np.zeros((len(t), 3)), 0.01)
 
 
+@pytest.mark.parametrize("lost", [slice(0, 30), slice(-30, None), slice(400, 600)])
+def test_a_lost_pelvis_neither_runs_off_nor_swings_beyond_what_is_known(lost: slice):
+    t, rng = np.arange(0, 10, 0.01), np.random.default_rng(0)
+    position = np.column_stack([0.05 * np.sin(3.1 * t), 0.03 * np.sin(5 * t), 0 * t])
+    position += 1e-4 * rng.standard_normal(position.shape)
+    rotation = rotation_xyz(np.column_stack([0 * t, 0 * t, 0.2 * np.sin(4 * t)]))
+    whole = pelvis_drive(t, rotation, position, 0.01).position
+    gone = position.copy()
+    gone[lost] = np.nan
+    drive = pelvis_drive(t, rotation, gone, 0.01, (rotation[0], position[0])).position
+    known = np.ones(len(t), bool)
+    known[lost] = False
+    assert np.allclose(drive[known], whole[known], atol=1e-9)
+    low, high = drive[known].min(axis=0), drive[known].max(axis=0)
+    over = 0.02 * (high - low)  # what the spline rings where it comes to stand
+    assert np.all((drive >= low - over) & (drive <= high + over))
+
+
 def test_inverse_kinematics_reaches_the_pose():
     import mujoco
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 # The servo measures the pelvis by a rotation vector, which is unique up to half a revolution
@@ -43,6 +43,22 @@ def _left_jacobian(v: np.ndarray) -> np.ndarray:
     return np.eye(3) + a[:, None, None] * skew + b[:, None, None] * (skew @ skew)
 
 
+def _bridged(time_s: np.ndarray, pose: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Return poses (n, 6) at all times, from those (k, 6) of the ``good`` samples (n,).
+
+    A gap is crossed without leaving the range of its two ends, and before the first and after the last known sample the
+    pose stands still. A quintic spline alone would swing by more than the recorded motion within a second, and run off
+    without a limit at an end.
+    """
+    if good.all():
+        return pose
+    out = np.empty((len(time_s), pose.shape[1]))
+    out[good] = pose
+    known = time_s[good]
+    out[~good] = PchipInterpolator(known, pose)(np.clip(time_s[~good], known[0], known[-1]))
+    return out
+
+
 def pelvis_drive(
     time_s: np.ndarray,
     rotation: np.ndarray,
@@ -57,7 +73,7 @@ def pelvis_drive(
     time_s
         (n,) uniform sample times [s].
     rotation, position
-        (n, 3, 3) and (n, 3) [m] pelvis pose in the world. Samples with NaN are bridged by the spline: a replay
+        (n, 3, 3) and (n, 3) [m] pelvis pose in the world. Samples with NaN are bridged (`_bridged`): a replay
         cannot stop in a gap. Whoever computes a cost masks them.
     timestep
         Of the plant [s]; steps run from ``time_s[0]`` to ``time_s[-1]``.
@@ -77,8 +93,7 @@ def pelvis_drive(
     if largest > LARGEST_TURN:
         raise ValueError(f"the pelvis turns by {np.degrees(largest):.0f} degrees from its first pose")
     pose = np.hstack([(position[good] - origin) @ reference, vectors])
-    t_good = time_s[good]
-    path = make_interp_spline(t_good, pose, k=5)
+    path = make_interp_spline(time_s, _bridged(time_s, pose, good), k=5)
     rate = path(time_s, 1)
     rate[:, 3:] = np.einsum("nij,nj->ni", _left_jacobian(path(time_s)[:, 3:]), rate[:, 3:])
     rates = make_interp_spline(time_s, rate[:, 3:], k=5)

@@ -325,6 +325,13 @@ class DescribedTrial:
         n = len(self._recording.time_s)
         return np.column_stack([paths.get(a.joint, np.zeros(n)) for a in self._system.axes])
 
+    @property
+    def _rests(self) -> np.ndarray:
+        """Coordinates (axes,) [m, rad] at which the springs of the axes rest in the MJCF."""
+        return np.array(
+            [self._plain.qpos_spring[self._plain.joint(j).qposadr[0]] for j in self._system.axis_joints]
+        )
+
     # ---------------------------------------------------------------- drive
 
     def setup(self, parts: int) -> Setup:
@@ -458,7 +465,7 @@ class DescribedTrial:
         shaken = bool((sd > _TINY).any())
         simulated = Simulated(self._system, setup, draw, shaken, base, self._threads)
         measured = self._measured()
-        q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
+        q, v = self._along_axes(self._position) - self._rests, self._along_axes(self._rate_of)
         ones = np.ones(len(self._system.axes))
         scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace, *self._load)
         context = self._context(measured, q, v)

@@ -140,7 +140,14 @@ def move_rest(fields: Fields, axis: int, by: np.ndarray) -> None:
     """Move the rest of an axis by (m,) [m, rad]: its spring, and where tendons over it are slack or stop."""
     joint = fields.joint(axis)
     fields["qpos_spring"][:, fields.model.jnt_qposadr[joint]] += by
+    move_tendons(fields, joint, by)
+
+
+def move_tendons(fields: Fields, joint: int, by: np.ndarray, first: int = 0) -> None:
+    """Move where tendons over a joint are slack or stop by (m,) [m, rad] of it; those from index ``first`` on."""
     for index, coefficient in _tendons_over(fields.model, joint):
+        if index < first:
+            continue
         fields["tendon_lengthspring"][:, index] += coefficient * by[:, None]
         if fields.model.tendon_limited[index]:
             fields["tendon_range"][:, index] += coefficient * by[:, None]

@@ -11,6 +11,7 @@ import numpy as np
 
 from real2sim.effects.base import Fields, InterfaceImpedance, Placed, Scales
 from real2sim.effects.chains import Context
+from real2sim.effects.frames import move_tendons
 from real2sim.effects.free_run import FreeRuns, feed_back
 from real2sim.effects.replay import by_axis
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
@@ -105,6 +106,7 @@ class SystemReplay(FreeRuns):
             frame = RestPose(setup.segment.reference_rotation, setup.segment.reference_origin)
         spec = plant_of(system, setup.timestep, setup.anchor, frame)
         self.channels = self._sense(spec)
+        self._own_tendons = len(spec.tendons)
         for placed in self.effects:
             placed.effect.plant.build(spec, placed.where)
         self._sticks = any(p.effect.plant.sticks for p in self.effects)
@@ -226,9 +228,14 @@ class SystemReplay(FreeRuns):
         return chained(self.effects, paths[which], logs[which], values, self._context)
 
     def _motion(self) -> np.ndarray:
-        """As of `FreeRuns`: positions of the joints of the axes."""
+        """As of `FreeRuns`: coordinates of the axes, from their rest."""
         columns = [self.model.sensor(f"axis_{axis.joint}").adr[0] for axis in self._setup.system.axes]
-        return np.asarray(self._sensed[0, :: self._setup.stride][:, columns])
+        return np.asarray(self._sensed[0, :: self._setup.stride][:, columns] - self._rests)
+
+    @cached_property
+    def _rests(self) -> np.ndarray:
+        """Coordinates (axes,) [m, rad] at which the springs of the axes rest in the MJCF."""
+        return np.array([self.model.qpos_spring[j.qposadr[0]] for j in self._joints])
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
@@ -240,7 +247,7 @@ class SystemReplay(FreeRuns):
             return PrescribedMotion(self.model, self._forces_shown)
         seen = any(o.quantity == "force" for o in self._setup.system.outputs)
         rough = self._sticks or self._setup.settled or any(p.effect.plant.weighed for p in self.effects)
-        return None if seen or rough else Linearised(self.as_simulated(), self._setup.stride)
+        return None if seen or rough else Linearised(self.as_simulated(), self._setup.stride, self._rates)
 
     @property
     def _prescribed(self) -> bool:
@@ -281,8 +288,8 @@ class SystemReplay(FreeRuns):
 
     def as_simulated(self) -> Simulated:
         """Return model, start and command of the first simulation of the last call, as plain MuJoCo takes them."""
-        position, rate = self._starts(1)[0], self._start[1] + self._hurry[0]
-        return Simulated(self._batch.get_model(0), position, rate, self._control[0].copy())
+        position = self._starts(1)[0]
+        return Simulated(self._batch.get_model(0), position, self._first_rate.copy(), self._control[0].copy())
 
     def _impedance(self, parameters: np.ndarray) -> InterfaceImpedance:
         system, model = self._setup.system, self.model
@@ -309,7 +316,33 @@ class SystemReplay(FreeRuns):
         self._update_constants(fields, m)
         if self._setup.settled:
             self._settle(fields, m)
+        self._half_a_step_back(m)
         return self._roll(fields, m)
+
+    def _half_a_step_back(self, m: int) -> None:
+        """Let rates at the start be those of half a step before, as a leapfrog step keeps them.
+
+        Commands of driven joints are so already, and a segment that is driven holds all that hangs on it. A machine
+        that forces move would start too fast by what half a step adds.
+        """
+        batch, ids = self._batch, np.arange(m)
+        position, rate = (batch.bind(name)[:m].copy() for name in ("qpos", "qvel"))
+        if self._let_go.any():
+            batch.rollout(1, self._control[:m, :1], record=(), ids=ids)
+            gained = np.nan_to_num(batch.bind("qvel")[:m] - rate)
+            rate[:, self._let_go] -= gained[:, self._let_go] / 2
+            batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+            batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, rate
+        self._first_rate = rate[0]
+
+    @cached_property
+    def _let_go(self) -> np.ndarray:
+        """Mask (nv,) of joints that neither follow a path nor hold a driven segment."""
+        drive = self._setup.system.drive
+        out = np.full(self.model.nv, drive.by != POSE)
+        for joint in drive.columns if drive.by == PATH else ():
+            out[self.model.joint(joint).dofadr[0]] = False
+        return out
 
     def _restore(self, fields: Fields) -> None:
         """Give fields that effects change only in part their compiled values back."""
@@ -343,10 +376,8 @@ class SystemReplay(FreeRuns):
         for column, parameter in enumerate(system.parameters):
             if parameter.sets == MASS:
                 fields["body_mass"][:, model.body(parameter.of).id] = parameters[:, column]
-            elif parameter.sets == "offset":
-                axis = system.axis_names.index(parameter.of)
-                actuator = model.actuator(f"offset_{system.axes[axis].joint}").id
-                self._control[: len(parameters), :, actuator] = parameters[:, column, None]
+        offsets = [i for i, p in enumerate(system.parameters) if p.sets == "offset"]
+        self._control[: len(parameters), :, self._offsets] = parameters[:, None, offsets]
 
     def _write_effects(
         self, fields: Fields, impedance: InterfaceImpedance, values: list[np.ndarray], m: int
@@ -359,6 +390,10 @@ class SystemReplay(FreeRuns):
             force = plant.force(value, self._context, where, impedance)
             if force is not None:
                 self._control[:m, :, plant.columns(self.model, where)] += force
+        # an effect's law is about the place where the axis rests, which an MJCF can put elsewhere than at zero
+        for joint, rest in zip(self._joints, self._rests, strict=True):
+            if rest:
+                move_tendons(fields, joint.id, np.full(m, rest), self._own_tendons)
         self._failed[:] = False
         for i in self._chains:
             self._write_input_chain(self.effects[i], values[i], m)
@@ -409,13 +444,7 @@ class SystemReplay(FreeRuns):
         for placed in self.effects:
             placed.effect.plant.relax(fields, placed.where, position)
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, 0
-        pull = batch.rollout(1, self._control[:m, :1], record=("qfrc_passive",), ids=np.arange(m))
-        force = pull["qfrc_passive"][:, 0]
-        for placed in self.effects:
-            columns = placed.effect.plant.columns(model, placed.where)
-            if len(columns) and placed.effect.plant.control_is_force:
-                driven = model.jnt_dofadr[joints_of(model, columns)]
-                force[:, driven] += self._control[:m, 0, columns]
+        force = self._standing_force(m)
         held = [model.joint(j.name) for j in self._setup.system.machine if j.impedance is not None]
         dofs = np.array([j.dofadr[0] for j in held], int)
         for k in range(m):
@@ -427,6 +456,29 @@ class SystemReplay(FreeRuns):
                 fields["qpos_spring"][k, j.qposadr[0]] += by
         batch.reset(np.arange(m), stage=mujoco.mjtStage.mjSTAGE_NONE)
         batch.bind("qpos")[:m], batch.bind("qvel")[:m] = position, self._start[1] + self._hurry[:m]
+
+    def _standing_force(self, m: int) -> np.ndarray:
+        """Forces (m, nv) of springs, weight, offsets and effects on the joints of the first step, without the drive."""
+        model, control = self.model, self._control[:m, 0]
+        done = self._batch.rollout(
+            1, self._control[:m, :1], record=("qfrc_passive", "qfrc_bias"), ids=np.arange(m)
+        )
+        force = done["qfrc_passive"][:, 0] - done["qfrc_bias"][:, 0]
+        pushed = [
+            p.effect.plant.columns(model, p.where) for p in self.effects if p.effect.plant.control_is_force
+        ]
+        for columns in (*pushed, self._offsets):
+            if len(columns):
+                force[:, model.jnt_dofadr[joints_of(model, columns)]] += control[:, columns]
+        return np.asarray(force)
+
+    @property
+    def _offsets(self) -> np.ndarray:
+        """Control columns of the parameters that are constant forces."""
+        system, model = self._setup.system, self.model
+        axes = [system.axes[system.axis_names.index(p.of)] for p in system.parameters if p.sets == "offset"]
+        actuators = [model.actuator(f"offset_{axis.joint}").id for axis in axes]
+        return np.asarray(model.actuator_ctrladr[actuators], int)
 
     def _free_motions(self, position: np.ndarray) -> np.ndarray:
         """Orthonormal joint rates (k, nv) that leave the segment, loops and driven joints where they are."""
@@ -454,6 +506,7 @@ class SystemReplay(FreeRuns):
         record = ("sensordata", *(_FORCES if forced else ()))
         done = self._batch.rollout(self.nstep, self._control[:m], record=record, ids=np.arange(m))
         out = done["sensordata"].copy()
+        out[:, :, self._rates] = centred(out[:, :, self._rates])
         for output in forced:
             column = 3 * self.channels.markers + self.channels.outputs.index(output.column)
             out[:, :, column] = self._drive_force(fields, done, output.joint, m)
@@ -491,6 +544,12 @@ class SystemReplay(FreeRuns):
         late = fields["dof_damping"][:m, dof, None] * model.opt.timestep / 2 * acceleration
         return np.asarray(inertia[:, None] * acceleration - force + late)
 
+    @property
+    def _rates(self) -> list[int]:
+        """Columns of the sensor data that are outputs of a joint's rate."""
+        first = 3 * self.channels.markers
+        return [first + i for i, o in enumerate(self._setup.system.outputs) if o.quantity == "velocity"]
+
     @cached_property
     def _along_path(self) -> dict[str, LoneJoint]:
         """Joints whose force is an output, by name."""
@@ -503,6 +562,12 @@ class SystemReplay(FreeRuns):
 
 def _sensor(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, obj: mujoco.mjtObj, target: str) -> None:
     spec.add_sensor(name=name, type=kind, objtype=obj, objname=target)
+
+
+def centred(rates: np.ndarray) -> np.ndarray:
+    """Return rates (m, nstep, c) at the steps, of those half a step before, which a leapfrog step keeps."""
+    after = 2 * rates[:, -1:] - rates[:, -2:-1]
+    return np.asarray((rates + np.concatenate([rates[:, 1:], after], axis=1)) / 2)
 
 
 def substeps(effects: Sequence[Placed], timestep: float) -> int:

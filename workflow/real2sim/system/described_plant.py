@@ -136,6 +136,7 @@ def _hang_segment(spec: mujoco.MjSpec, system: System, anchor: Anchor) -> None:
         ipos=-anchor.rest.position,
         inertia=[PELVIS_INERTIA] * 3,
         explicitinertial=True,
+        gravcomp=1,  # its path is known, and no servo holds such a mass without a sag
     )
     made = [axis for axis in system.axes if axis.direction is not None]
     hinges = [axis for axis in reversed(made) if axis.rotational]

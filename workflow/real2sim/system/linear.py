@@ -8,7 +8,7 @@ all: what is seen of them is the force that holds the path.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import mujoco
@@ -65,10 +65,12 @@ class Linearised:
     """A simulation, linearised along its motion.
 
     ``simulated`` is the simulation; ``stride`` steps make a sample; the matrices are taken anew every ``every`` steps.
+    ``rates`` are sensors of joint rates, which a leapfrog step keeps of half a step before.
     """
 
-    def __init__(self, simulated: Simulated, stride: int, every: int = 2):
+    def __init__(self, simulated: Simulated, stride: int, rates: Sequence[int] = (), every: int = 2):
         self._model, self._stride, self._every = simulated.model, stride, every
+        self._rates = list(rates)
         self._steps = len(simulated.control)
         model = simulated.model
         data = mujoco.MjData(model)
@@ -103,11 +105,13 @@ class Linearised:
         out = np.empty((-(-self._steps // self._stride), self._model.nsensordata, len(forces)))
         for k in range(self._steps):
             i, (sample, part) = k // self._every, divmod(k, self._stride)
-            if part == 0:
-                out[sample] = self._c[i] @ state
             share = part / self._stride
             now = by_sample[min(sample, last)]
             if part and sample < last:
                 now = (1 - share) * now + share * by_sample[sample + 1]
-            state = self._a[i] @ state + self._b[i][:, columns] @ now
+            after = self._a[i] @ state + self._b[i][:, columns] @ now
+            if part == 0:
+                out[sample] = self._c[i] @ state
+                out[sample, self._rates] = self._c[i][self._rates] @ (state + after) / 2
+            state = after
         return np.moveaxis(out, 2, 0)

@@ -113,6 +113,16 @@ def test_sensitivity_foretells_the_refit(trial, model):
         assert np.expm1(again[i] - z[i]) == pytest.approx(expected, rel=0.15, abs=2e-3), name
 
 
+def test_a_parameter_beside_which_the_simulation_fails_has_no_sensitivity(trial, model):
+    jacobian = np.random.default_rng(1).standard_normal(
+        (len(problem_of(model).many(np.zeros((1, 12)))[0]), 12)
+    )
+    jacobian[:, 2] = np.nan
+    parameters = as_vector(trial.parameters)
+    moved = robot_sensitivity(model, parameters, jacobian, np.arange(12), robot=ROBOT, settings=STEPPED)
+    assert all(set(row) == set(PARAMETERS) - {PARAMETERS[2]} for row in moved.values())
+
+
 def test_added_noise_has_the_size_that_was_asked_for(model):
     noise = np.array([0.001, 0.001, 0.0, 0.0])
     noisy = with_pelvis_noise(model.trial, noise, CONFIG["ingest"], np.random.default_rng(1))

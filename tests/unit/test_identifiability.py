@@ -350,7 +350,8 @@ def test_a_parameter_whose_sd_cannot_be_computed_is_not_determined():
     assert interval_verdict(np.inf, 0.0, **limits) == NOT_DETERMINED
 
 
-def test_a_fit_beside_which_the_simulation_fails_determines_nothing():
+@pytest.mark.parametrize("of_input", [None, lambda z: NoiseTerms(np.zeros(12), 1e-3 * np.eye(12))])
+def test_a_fit_beside_which_the_simulation_fails_determines_nothing(of_input):
     columns, noise = design(np.ones(12)), 1e-3 * np.random.default_rng(1).standard_normal(N)
     line = linear(columns, noise)
     best = TRUTH - np.linalg.lstsq(columns, noise, rcond=None)[0]
@@ -360,12 +361,36 @@ def test_a_fit_beside_which_the_simulation_fails_determines_nothing():
         out[np.log(parameters[:, 3]) > best[3] + SETTINGS["step_ln"] / 2] = np.nan
         return out
 
-    found = assess(fails_above, np.exp(best), np.arange(N), BOUNDS, batch=13, rate_hz=100, settings=SETTINGS)
+    options = {"batch": 13, "rate_hz": 100, "settings": SETTINGS, "noise": of_input}
+    found = assess(fails_above, np.exp(best), np.arange(N), BOUNDS, **options)
     row = found["parameters"][PARAMETERS[3]]
     assert row["verdict"] == NOT_DETERMINED
     assert (row["ci95"], row["sd_ln"]) == ([None, None], None)
     assert "cannot be computed" in row["reason"]
     assert found["flat_directions"] == []
+
+
+def test_a_weak_interval_is_as_wide_as_its_sd_where_noise_of_the_input_bends_the_cost():
+    """Half of the curvature of J is what noise of the input makes of it."""
+    weak, sd = 5e-3, 1e-3
+    columns = design(np.r_[weak, np.ones(11)])
+    residuals = linear(columns, sd * np.random.default_rng(4).standard_normal(N))
+    best = TRUTH - np.linalg.lstsq(columns, residuals(np.exp(TRUTH)[None])[0], rcond=None)[0]
+    curvature = np.zeros((12, 12))
+    curvature[0, 0] = weak**2 / 2
+    options = {"batch": 13, "rate_hz": 100, "settings": SETTINGS}
+    found = assess(
+        residuals,
+        np.exp(best),
+        np.arange(N),
+        BOUNDS,
+        **options,
+        noise=lambda z: NoiseTerms(np.zeros(12), curvature),
+    )
+    row = found["parameters"][PARAMETERS[0]]
+    assert row["verdict"] == WEAK
+    half = np.log(row["ci95"][1] / row["ci95"][0]) / 2
+    assert half == pytest.approx(1.96 * row["sd_ln"], rel=0.02)
 
 
 @pytest.mark.parametrize("reach", [0.01, 0.7, 1.0])

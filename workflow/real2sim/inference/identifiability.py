@@ -125,8 +125,8 @@ class Information:
     """Information at one point in ln-parameters.
 
     ``score`` (12,) half the gradient of the corrected cost, ``information`` H (12, 12) less the
-    noise's, ``covariance`` (12, 12; NaN rows for parameters left out) and ``inflation`` (12,), the ratio of sandwich to
-    naive variance times the cost per degree of freedom it replaces.
+    noise's, ``covariance`` (12, 12; NaN rows for parameters left out) and ``inflation`` (12,): by how much J, whose
+    curvature holds that of the noise too, rises along its profile within a standard deviation.
     """
 
     score: np.ndarray
@@ -140,7 +140,10 @@ class Information:
 
 
 def central_jacobian(residuals: Residuals, z: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals (n_r,) and Jacobian (n_r, 12) at z (12,) by central differences, one-sided at a bound."""
+    """Return residuals (n_r,) and Jacobian (n_r, 12) at z (12,) by central differences, one-sided at a bound.
+
+    NaN where a simulation beside the point fails.
+    """
     up, down = np.minimum(z + step, residuals.upper), np.maximum(z - step, residuals.lower)
     points = np.tile(z, (25, 1))
     points[np.arange(12), np.arange(12)] = up
@@ -194,12 +197,16 @@ def information(
     ``lags`` is the range of autocorrelation that is taken into account [samples]; ``noise`` is that of the input there.
     """
     scores = per_sample(jacobian * residual[:, None], sample)
-    total, full = scores.sum(axis=0), jacobian.T @ jacobian
+    total, with_noise = scores.sum(axis=0), jacobian.T @ jacobian
+    full = with_noise
     if noise is not None:
-        total, full = total - noise.score, less_noise(full, noise.curvature)
+        total = total - noise.score
+        # without a Jacobian nothing is known, and there is nothing to take the noise from
+        known = np.isfinite(full).all() and np.isfinite(noise.curvature).all()
+        full = less_noise(full, noise.curvature) if known else np.full_like(full, np.nan)
     # a parameter that moves nothing must end with an infinite variance, not with the zero of a pseudo-inverse
-    full = full + 1e-13 * np.trace(full) * np.eye(12)
-    inner = np.linalg.inv(full[np.ix_(free, free)])
+    full, with_noise = (m + 1e-13 * np.trace(m) * np.eye(12) for m in (full, with_noise))
+    inner, of_profile = (np.linalg.inv(m[np.ix_(free, free)]) for m in (full, with_noise))
     # the score of a fit is zero, that of a corrected one is the noise's: only the scatter counts
     used = np.any(scores != 0, axis=1)
     centred = np.where(used[:, None], scores - scores[used].mean(axis=0), 0.0)
@@ -214,7 +221,7 @@ def information(
     covariance = np.full((12, 12), np.nan)
     covariance[np.ix_(free, free)] = sandwich
     inflation = np.full(12, np.nan)
-    inflation[free] = np.diag(sandwich) / np.diag(inner)
+    inflation[free] = np.diag(sandwich) / np.diag(of_profile)
     return Information(total, full, covariance, inflation)
 
 
@@ -231,8 +238,8 @@ def corrected_fit(
 ) -> tuple[np.ndarray, NoiseTerms]:
     """Return the minimum of the cost less what noise of the input adds to it, by Newton steps from a fit z (12,).
 
-    Only the parameters listed in ``free`` move, all where it is None. Returns ln-parameters (12,) and the noise's terms
-    at the last point that was looked at.
+    Only the parameters listed in ``free`` move, all where it is None; none where the simulation beside a point fails.
+    Returns ln-parameters (12,) and the noise's terms at the last point that was looked at.
     """
     moving = np.arange(12) if free is None else free
     point = z
@@ -241,6 +248,8 @@ def corrected_fit(
         residual, jacobian = central_jacobian(residuals, point, step)
         info = information(residual, jacobian, sample, moving, lags=lags, noise=terms)
         move = _newton_step(info, point, residuals, moving)
+        if not np.isfinite(move).all():
+            break
         point = np.clip(point + move, residuals.lower, residuals.upper)
         if np.all(np.abs(move[moving]) <= SMALL_STEP_SD * info.sd()[moving]):
             break

@@ -104,8 +104,10 @@ def robot_sensitivity(
 
     ``parameters`` (12,) [SI], ``jacobian`` (n_r, 12) of residuals by ln-parameters, ``free`` (k,) indices. To first
     order: -(GᵀG)^-1 Gᵀ dr, with dr the central difference of the residuals over the constant. Constants are the
-    controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out.
+    controllers' stiffness and damping and the inertias of the twin. Parameters at a bound are left out, and those
+    beside whose fit the simulation fails.
     """
+    free = free[np.isfinite(jacobian[:, free]).all(axis=0)]
     gain = np.linalg.pinv(jacobian[:, free], rcond=1e-8)
     controllers: Controllers = dict(cast(Controllers, settings["robot"]))
     constants = [

@@ -18,13 +18,15 @@ from mcap.records import Schema
 from PIL import Image
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, interface_coordinates, relative_pose, rotation_matrix, rotation_xyz
+from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages.motion.export import CHANNELS, OPTIONAL, export_motion
-from real2sim.pages.motion.replayed import strap_wrench
+from real2sim.pages.motion.replayed import MotionReplay, strap_wrench
 from real2sim.pages.motion.scene import arrow, robot_bodies
 from real2sim.pages.motion_clip import motion_clip
 from real2sim.recording.formats.mcap_file import Contents, read_messages
 from real2sim.recording.ingest import WRENCH
-from real2sim.system.plant import ROBOT_JOINTS, load_robot
+from real2sim.recording.trial import load_trial, replay_inputs
+from real2sim.system.plant import ROBOT_JOINTS, JointLimits, load_robot
 from recorded_trial import CONFIG, ROBOT, RecordedTrial, record
 
 GAP = slice(500, 560)
@@ -199,6 +201,26 @@ def test_strap_force_is_spring_and_damper_and_reverses_between_robot_and_person(
     assert np.abs(force - expected[:, :3])[inner].max() < 0.02 * np.abs(expected[:, :3]).max()
     torque = _vectors(exported.messages["/strap/wrench"], "torque")
     assert np.abs(torque[inner, 0] - expected[inner, 3]).max() < 0.02 * np.abs(expected[:, 3]).max()
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_limit_pushes_the_strap_back_from_either_side(exported, side):
+    """A limit at 2 mm, which the pelvis pulls the strap through its spring and damper against."""
+    trial = exported.trial
+    reach = 0.002  # m
+    lower, upper = np.full(6, -1.0), np.full(6, 1.0)
+    (upper if side > 0 else lower)[0] = side * reach
+    loaded = load_trial(trial.pose, trial.markers, start_window_s=0.5, settle_s=1.0)
+    settings = SETTINGS | {"plant": SETTINGS["plant"] | {"timestep_s": 0.005}}
+    inputs = replay_inputs(loaded, JointLimits(lower, upper), ROBOT, settings)
+    parameters = np.array([trial.parameters[name] for name in PARAMETERS])
+    found = MotionReplay(**inputs, nsim=1).record(parameters)
+    beyond = side * found.q[:, 0] > reach
+    assert beyond.sum() > 10
+    rate = np.gradient(found.q[:, 0], loaded.time_s[1] - loaded.time_s[0])
+    strap = -parameters[0] * found.q[:, 0] - parameters[6] * rate
+    pushes = side * (found.force[:, 0] - strap)[beyond]
+    assert np.median(pushes) < -5.0, "[N] back, and beside spring and damper"
 
 
 def test_hinge_torques_do_the_work_of_the_torque_vector():

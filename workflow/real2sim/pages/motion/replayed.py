@@ -47,6 +47,11 @@ class MotionReplay(Replay):
                 objname=name,
             )
 
+    @property
+    def _middle(self) -> np.ndarray:
+        """Coordinates (6,) [m, rad] halfway between the limits of the strap's joints."""
+        return np.array([self.model.joint(name).range.mean() for name in STRAP_JOINTS])
+
     def record(self, parameters: np.ndarray) -> Replayed:
         """Simulate strap parameters (12,)."""
         raw = self._simulate(parameters[None])
@@ -59,7 +64,9 @@ class MotionReplay(Replay):
         q, rate = columns("position", STRAP_JOINTS), columns("velocity", STRAP_JOINTS)
         # velocities of a leapfrog live half a step late (plant.py): the mean of two neighbours is at the sample
         rate[:-1] = (rate[:-1] + rate[1:]) / 2
-        force = -q * parameters[:6] - rate * parameters[6:] + columns("limit", STRAP_JOINTS)
+        # MuJoCo gives the size of what a limit pushes with
+        pushes = np.where(q > self._middle, -1, 1) * columns("limit", STRAP_JOINTS)
+        force = -q * parameters[:6] - rate * parameters[6:] + pushes
         samples = slice(None, None, self.stride)
         return Replayed(
             self._samples(raw)[0],

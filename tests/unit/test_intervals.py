@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from real2sim.diagnosis.intervals import Precision, effect_intervals, precision_
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair
 from real2sim.effects.catalogue import EFFECTS, Placed
+from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMINED, WEAK
+from real2sim.system.description import Parameter
 
 from tests.unit.simulated_effects import SCALES, STRAP
 
@@ -84,3 +87,26 @@ def test_no_effect_is_known_better_than_the_plant():
         value = place.values(z[None, 12:])[0, 0]
         assert (np.log(ends[1] / ends[0]) / 2) == pytest.approx(1.96 * least, rel=0.02), name
         assert ends[0] < value < ends[1]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 200.0])
+def test_an_offset_has_the_same_verdict_in_any_unit(monkeypatch, scale):
+    """Value, SD [N], verdict of a constant force of which up to 50 N are searched."""
+    for value, sd, expected in (
+        (12.0, 0.1, DETERMINED),
+        (0.0, 0.1, DETERMINED),
+        (12.0, 3.0, WEAK),
+        (0.0, 50.0, NOT_DETERMINED),
+        (35.0, 0.1, DETERMINED),
+        (49.9, 0.1, AT_BOUND),
+    ):
+        offset = Parameter("push", "N", -50.0 * scale, 50.0 * scale, "offset", "x", log=False)
+        bounds = np.array([offset.lower]), np.array([offset.upper])
+        pair = SimpleNamespace(system=SimpleNamespace(parameters=[offset], bounds=lambda b=bounds: b))
+        fit, covariance = np.array([value * scale]), np.array([[(sd * scale) ** 2]])
+        monkeypatch.setattr(intervals, "corrected", lambda *_, z=fit, c=covariance: (z, c))
+        (known,) = intervals.parameter_verdicts(pair, Hypothesis((), fit, (1.0, 1.0)), np.ones(1), CONFIG)
+        assert known.verdict == expected, (value, sd)
+        half = 1.96 * np.hypot(sd, OPTIONS["report"]["plant_sd_ln"] * value)
+        ends = np.clip([value - half, value + half], -50, 50)
+        assert known.ci95 == pytest.approx(scale * ends, abs=1e-9)

@@ -762,6 +762,7 @@ DiagnosisReportSettings = TypedDict(
     "DiagnosisReportSettings",
     {
         "plant_sd_ln": float,
+        "least_size_share": float,
         "interval_probability": float,
         "detailed_causes": int,
         "smallest_gap": float,

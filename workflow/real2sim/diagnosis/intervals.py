@@ -13,12 +13,16 @@ from real2sim.diagnosis.search import Pair, Search
 from real2sim.inference.identifiability import interval_verdict
 
 if TYPE_CHECKING:
-    from real2sim.settings import DiagnosisSettings, Settings
+    from real2sim.settings import DiagnosisReportSettings, DiagnosisSettings, Settings
+    from real2sim.system.description import System
 
 
 @dataclass(frozen=True)
 class Known:
-    """Knowledge of one parameter: value less its bias by noise of the drive [SI], interval, bias, verdict."""
+    """Knowledge of one parameter: value less its bias by noise of the drive [SI], interval, bias, verdict.
+
+    ``bias_ln`` is in ln-units, of a parameter that is no logarithm in those of `unit_of`.
+    """
 
     unbiased: float
     ci95: tuple[float, float]
@@ -57,27 +61,45 @@ def parameter_verdicts(
     options, limits = settings["diagnosis"], settings["identifiability"]
     point, covariance = corrected(pair, hypothesis, Correction.from_options(options["search"]))
     n = len(hypothesis.base)
-    sd = np.hypot((np.sqrt(_variances(covariance)) * wider)[:n], options["report"]["plant_sd_ln"])
-    bias = hypothesis.base - point[:n]
+    least = least_sd(pair.system, hypothesis.base, options["report"])
+    sd = np.hypot((np.sqrt(_variances(covariance)) * wider)[:n], least)
+    bias, unit = hypothesis.base - point[:n], unit_of(pair.system, hypothesis.base, options["report"])
     lower, upper = pair.system.bounds()
     out = []
     for i in range(n):
         value, s, b = hypothesis.z[i], sd[i], bias[i]
         ends = np.clip([value - b - 1.96 * s, value - b + 1.96 * s], lower[i], upper[i])
-        told = abs(b) > s and s < limits["weak_sd_ln"]
+        relative = s / unit[i]
+        told = abs(b) > s and relative < limits["weak_sd_ln"]
         unbiased = np.clip(value - b, lower[i], upper[i]) if told else value
-        near = limits["at_bound_ln"]
+        near = limits["at_bound_ln"] * unit[i]
         verdict = interval_verdict(
-            float(s),
-            float(b),
-            too_wide=bool(s > limits["weak_sd_ln"]),
+            float(relative),
+            float(b / unit[i]),
+            too_wide=bool(relative > limits["weak_sd_ln"]),
             at_bound=bool(value - lower[i] < near or upper[i] - value < near),
             determined_sd_ln=limits["determined_sd_ln"],
         )
         si = np.exp if pair.system.parameters[i].log else np.asarray
         low, high = si(ends)
-        out.append(Known(float(si(unbiased)), (float(low), float(high)), float(b), verdict))
+        out.append(Known(float(si(unbiased)), (float(low), float(high)), float(b / unit[i]), verdict))
     return out
+
+
+def unit_of(system: System, z: np.ndarray, options: DiagnosisReportSettings) -> np.ndarray:
+    """Return what an SD of each parameter (n,) is judged in, so that the verdict is the same in any unit.
+
+    1 of a logarithm. Of a parameter that is none and may be zero: its size, or a share of the range of the search where
+    it is smaller. ``options`` is the slice ``diagnosis.report``.
+    """
+    lower, upper = system.bounds()
+    size = np.maximum(np.abs(z), options["least_size_share"] * (upper - lower))
+    return np.where([p.log for p in system.parameters], 1.0, size)
+
+
+def least_sd(system: System, z: np.ndarray, options: DiagnosisReportSettings) -> np.ndarray:
+    """Return the least SD (n,) of each parameter, for what the plant itself does not know: a share of its value."""
+    return np.asarray(options["plant_sd_ln"] * np.where([p.log for p in system.parameters], 1.0, np.abs(z)))
 
 
 def effect_intervals(

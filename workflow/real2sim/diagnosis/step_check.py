@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from real2sim.diagnosis.intervals import least_sd
 from real2sim.diagnosis.refit import Hypothesis, JointResiduals
 from real2sim.diagnosis.search import Pair, Search
 from real2sim.recording.formats.recordings import Finding
@@ -24,7 +25,7 @@ def step_findings(pair: Pair, plain: Hypothesis, settings: DiagnosisSettings) ->
     """
     evidence, system, z = cast("SystemEvidence", pair.train), pair.system, plain.base
     excess = 1 + max(Search(pair, settings["search"]).above_by_trial(plain)[0], 0.0) / evidence.samples
-    most_sd, plant_sd = settings["described"]["channels"]["step_sd"], settings["report"]["plant_sd_ln"]
+    most_sd, least = settings["described"]["channels"]["step_sd"], least_sd(system, z, settings["report"])
     problem = JointResiduals(evidence, (), system)
     free = problem.free
     _, jacobian = problem.with_jacobian(z, free)
@@ -36,7 +37,7 @@ def step_findings(pair: Pair, plain: Hypothesis, settings: DiagnosisSettings) ->
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
     curvature = (rows / scale).T @ (rows / scale)
     covariance = np.linalg.pinv(curvature, rcond=1e-8)
-    sd = np.hypot(np.sqrt(np.diag(covariance) * excess) / scale, plant_sd)
+    sd = np.hypot(np.sqrt(np.diag(covariance) * excess) / scale, least[free])
     moved = covariance @ (rows / scale).T @ changed / scale / sd
     worst = int(np.argmax(np.abs(moved)))
     if abs(moved[worst]) > most_sd:

@@ -2,7 +2,7 @@
 
 import copy
 
-from real2sim.pages.answer_text import answer_text, lines_of
+from real2sim.pages.answer_text import answer_probability, answer_text, lines_of
 
 CONTENT = {
     "verdict": "coulomb",
@@ -77,6 +77,40 @@ def test_none_is_said_in_two_lines():
     lines = answer_text("exo", content).split("\n")
     assert lines[0] == "exo: none, probability 0.990"
     assert len(lines) == 2
+
+
+def test_a_set_has_the_probability_of_its_own_rows_and_not_of_its_names():
+    sets = {("preload", "slack"): 0.456, ("preload", "tilt"): 0.279, ("preload", "coulomb"): 0.253}
+    content = {
+        "verdict": "preload",
+        "verdict_set": ["preload", "slack"],
+        "probabilities": {
+            "preload": 0.834,
+            "slack": 0.071,
+            "coulomb": 0.039,
+            "tilt": 0.043,
+            "unknown": 0.013,
+        },
+        "considered": [{"effects": list(names), "probability": p} for names, p in sets.items()],
+    }
+    assert answer_probability(content) == 0.456
+
+
+def test_an_answer_beside_another_robot_counts_that_robot_once():
+    content = {
+        "verdict": "slack",
+        "verdict_set": ["slack"],
+        "probabilities": {"slack": 0.7, "none": 0.3},
+        # 0.2 of the 0.7 are slack with the configured robot
+        "considered": [{"effects": ["slack"], "probability": 0.5}],
+        "machine": {"name": "other", "probability": 0.52},
+    }
+    assert answer_probability(content) == 0.5
+    assert answer_probability(content | {"machine": {"name": "configured", "probability": 0.52}}) == 0.7
+    nothing = content | {"verdict": "none", "verdict_set": ["none"]}
+    assert answer_probability(nothing) == 0.3
+    sure = nothing | {"probabilities": {"none": 0.9}}
+    assert answer_probability(sure) == 0.52, "no surer than that it is this robot"
 
 
 def test_cells_stand_below_each_other():

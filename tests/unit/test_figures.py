@@ -2,7 +2,8 @@
 
 import pytest
 from real2sim.artefacts import number, read_json, read_table, write_json
-from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_closed, chi2_per_residual
+from real2sim.pages.answer_text import answer_probability
+from real2sim.pages.diagnosis import answer_words, chi2_closed, chi2_per_residual
 from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
 from real2sim.pages.gap import gap_figure
 from real2sim.pages.style import PHANTOM_LABEL, new_figure, signed
@@ -81,6 +82,7 @@ def test_gap_is_that_of_the_trial_which_shows_it_and_a_set_has_one_probability()
         "verdict": "slack",
         "verdict_set": ["slack", "coulomb"],
         "probabilities": {"slack": 0.5, "coulomb": 0.45, "unknown": 0.05},
+        "considered": [{"effects": ["coulomb", "slack"], "probability": 0.95}],
         "gap": {"chi2_plain": [900, 300], "chi2_best": [200, 150], "chi2_expected": [100, 100]},
         "train": ["dynamic_2"],
         "held_out": ["dynamic_1"],

@@ -20,6 +20,7 @@ from real2sim.diagnosis.sensors import above
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
+from real2sim.pages.answer_text import answer_probability, other_robot
 from real2sim.pages.law import law_section, law_sentence, law_words, misfit_sentence
 from real2sim.pages.page import (
     bar,
@@ -166,12 +167,6 @@ def _misfit_sd(d: Mapping[str, Any]) -> float | None:
     return float(misfit["left_sd"][1]) if misfit is not None and misfit["marked"] else None
 
 
-def other_robot(d: Mapping[str, Any]) -> str | None:
-    """Name of the robot that diagnosis.json finds in the place of the configured one; None where it finds none."""
-    machine = d.get("machine")
-    return None if machine is None or machine["name"] == CONFIGURED else str(machine["name"])
-
-
 def _remedy(d: Mapping[str, Any]) -> str:
     """Word for what closes the gap: another robot where no effect is named beside it, the measured law for unknown."""
     if _law(d) is not None:
@@ -206,15 +201,6 @@ def answer_words(d: Mapping[str, Any]) -> str:
     return (
         " + ".join([f"another robot, {robot}", *(_words(name) for name in names if name != "none")]) + about
     )
-
-
-def answer_probability(d: Mapping[str, Any]) -> float:
-    """Probability of the answer of diagnosis.json: effects that are named together share one out between them.
-
-    Another robot has to be right as well as what is named beside it.
-    """
-    robot = 1.0 if other_robot(d) is None else float(d["machine"]["probability"])
-    return robot * float(sum(d["probabilities"][name] for name in _set(d)))
 
 
 def chi2_per_residual(d: Mapping[str, Any]) -> tuple[float, float] | None:
@@ -440,10 +426,10 @@ def _verdict(d: Mapping[str, Any]) -> str:
         claim = f"The cause is unknown: {sure} it is none that the catalogue holds"
     else:
         names = _set(d)
-        each = " and ".join(likely(p[name]) for name in names)
-        claim = f"{_sentence(_words(names[0]))} causes the gap with a probability of {each}"
+        claim = f"{_sentence(_words(names[0]))} causes the gap with a probability of {likely(p[names[0]])}"
         if len(names) > 1:
-            claim = f"{_sentence(_listed(names))} together cause the gap (probability {each}, shared out between them)"
+            sure = likely(answer_probability(d))
+            claim = f"{_sentence(_listed(names))} together cause the gap with a probability of {sure}"
     return f"{claim}; {left}."
 
 

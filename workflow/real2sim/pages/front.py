@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from real2sim.pages.answer_text import answer_probability
 from real2sim.pages.diagnosis import (
     STAGES,
-    answer_probability,
     answer_words,
     chi2_closed,
     chi2_per_residual,

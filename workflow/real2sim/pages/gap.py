@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 
 from real2sim.artefacts import read_json
 from real2sim.pages import style
-from real2sim.pages.diagnosis import answer_probability, answer_words, chi2_per_residual
+from real2sim.pages.answer_text import answer_probability
+from real2sim.pages.diagnosis import answer_words, chi2_per_residual
 from real2sim.pages.page import likely
 
 _KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")

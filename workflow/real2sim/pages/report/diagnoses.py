@@ -6,8 +6,8 @@ import statistics
 from collections import Counter
 from html import escape
 
+from real2sim.pages.answer_text import answer_probability
 from real2sim.pages.diagnosis import (
-    answer_probability,
     answer_words,
     chi2_closed,
     chi2_per_residual,

@@ -504,6 +504,20 @@ def test_tables_and_figure_also_where_everybody_fell(tmp_path):
     assert "1 of 1 seeds not drawn" in (tmp_path / "fallen.svg").read_text()
 
 
+def test_the_measured_change_is_drawn_of_joints_with_whole_strides_in_both_walks(tmp_path):
+    record, path = _record(), tmp_path / "coupled.json"
+    for joints, legend in (
+        (("hip_flexion",), True),
+        (("hip_flexion", "knee_angle"), False),
+    ):
+        short = {joint: {"cycles": 0} for joint in joints}
+        measured = record["measured"] | {"walk_robot": record["measured"]["walk_robot"] | short}
+        path.write_text(json.dumps(record | {"measured": measured}))
+        for draw in (gait_figure, speed_figure):
+            draw(coupled=[path], out=[tmp_path / f"{draw.__name__}.svg"])
+        assert (">measured<" in (tmp_path / "speed_figure.svg").read_text()) is legend
+
+
 def test_straps_are_told_apart_by_more_than_the_seeds_differ():
     place = {"subject": "S06", "robot": "study", "aware": True, "cap": 0.8, "joint": "hip_flexion"}
     rows = [

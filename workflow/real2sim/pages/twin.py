@@ -154,13 +154,10 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
                     values.append(entry["rom_deg"][0] - record["free"][joint]["rom_deg"][0])
             place = row + 0.2 * (k - (len(names) - 1) / 2)
             axes.plot(values, [place] * len(values), "o", color=CONDITIONS[name], markersize=2.5)
-        measured = records[0]["measured"]
-        if all(
-            kind in measured and measured[kind][joint].get("cycles") for kind in ("walk_normal", "walk_robot")
-        ):
-            change = (
-                measured["walk_robot"][joint]["rom_deg"][0] - measured["walk_normal"][joint]["rom_deg"][0]
-            )
+        walks = _measured_walks(records[0], joint)
+        if walks:
+            plain, assisted = walks
+            change = assisted[joint]["rom_deg"][0] - plain[joint]["rom_deg"][0]
             axes.plot([change, change], [row - 0.4, row + 0.4], color=style.BLUE, linewidth=1.2)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=0)
     axes.set_yticks(range(len(JOINT_NAMES)), list(JOINT_NAMES.values()))
@@ -170,6 +167,13 @@ def _changes(axes: Axes, records: list[dict[str, Any]]) -> None:
         "point: a seed (curves: the first), line: measured\n" + _robot(records[0])
     )
     style.panel_letter(axes, "g")
+
+
+def _measured_walks(record: dict[str, Any], joint: str) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the person's walks without and with the robot; None where one has no whole stride of the joint."""
+    walks = [record["measured"].get(name, {}) for name in ("walk_normal", "walk_robot")]
+    whole = all(walk.get(joint, {}).get("cycles") for walk in walks)
+    return (walks[0], walks[1]) if whole else None
 
 
 _MARKS = {"study": "o", "compliant": "s"}
@@ -208,9 +212,10 @@ def speed_figure(*, coupled: list[Path], out: list[Path]) -> None:
                 )
             )
         handles.append(Line2D([], [], color=style.BLACK, linewidth=0.8, label="no robot, slower"))
-        handles.append(
-            Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
-        )
+        if "measured" in drawn:
+            handles.append(
+                Line2D([], [], color=style.BLUE, marker="*", markersize=9, linestyle="", label="measured")
+            )
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
         style.save(figure, out)
 
@@ -226,7 +231,7 @@ def _change(
 def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> set[str]:
     """Draw every condition without factors, and the person's own change, for a joint; count who is hardly walking.
 
-    Returns the names of the conditions that have a point.
+    Returns the names of the conditions that have a point, and ``measured`` where the person's own change has one.
     """
     beyond = fallen = 0
     drawn: set[str] = set()
@@ -250,9 +255,10 @@ def _against_speed(axes: Axes, records: list[dict[str, Any]], joint: str) -> set
         slower = [s for s in record["free_at_speeds"] if s["gait"] and s["joints"][joint].get("cycles")]
         line = [(0.0, 0.0)] + [_change(s["gait"], s["joints"][joint], free, joint) for s in slower]
         axes.plot(*np.array(sorted(line)).T, "-", color=style.BLACK, linewidth=0.8, zorder=1)
-    measured = records[0]["measured"]
-    if "walk_normal" in measured and "walk_robot" in measured:
-        plain, assisted = measured["walk_normal"], measured["walk_robot"]
+    walks = _measured_walks(records[0], joint)
+    if walks:
+        plain, assisted = walks
+        drawn.add("measured")
         axes.plot(
             *_change(assisted["gait"], assisted[joint], plain, joint), "*", color=style.BLUE, markersize=9
         )

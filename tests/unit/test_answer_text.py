@@ -1,7 +1,9 @@
 """Answers as plain text."""
 
 import copy
+from types import SimpleNamespace
 
+from real2sim.api import Diagnosis
 from real2sim.pages.answer_text import answer_probability, answer_text, lines_of
 
 CONTENT = {
@@ -63,6 +65,16 @@ def test_an_answer_says_cause_numbers_doubt_and_next_trial():
     assert lines[10].startswith("To be recorded next: move forward")
     assert max(map(len, lines[10:])) <= 100
     assert "slack" not in "\n".join(lines)
+
+
+def test_the_misfit_is_that_of_the_recording_that_shows_the_gap():
+    gap = CONTENT["gap"] | {"chi2_plain": [5000.0, 500.0], "chi2_best": [510.0, 500.0]}
+    line = answer_text("exo", CONTENT | {"gap": gap}, shown_by_fitted=True).split("\n")[1]
+    assert line.startswith("Left of the fitted recording, which alone shows the gap, in units of noise")
+    assert line.endswith("10 by the plain model, 1.02 with what was found")
+    found = SimpleNamespace(pair=SimpleNamespace(exchanged=True))
+    answer = SimpleNamespace(found=found, to_dict=lambda: CONTENT | {"gap": gap})
+    assert line in str(Diagnosis(SimpleNamespace(name="exo"), answer))
 
 
 def test_none_is_said_in_two_lines():

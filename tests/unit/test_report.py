@@ -297,6 +297,26 @@ def test_the_front_answers_the_question_of_the_study():
     assert "Nothing more" in front([nobody], [])
 
 
+def test_the_front_says_which_trial_shows_the_gap():
+    first = _diagnosis()
+    fitted = _diagnosis(subject="S02", shown_on=["dynamic_1"])
+    assert "On the trial that was not fitted the misfit falls from 8 to 1.2" in front([first], [])
+    alone = front([fitted], [])
+    assert "On the fitted trial, which alone shows the gap, the misfit falls from 9 to 1.1" in alone
+    assert "not fitted" not in alone
+    said = "On the trial that was not fitted (S02: on the fitted one, which alone shows the gap) the misfit falls"
+    assert said in front([first, fitted], [])
+
+
+def test_the_front_counts_people_whose_answer_closes_nothing():
+    first, nothing = _diagnosis(), _diagnosis(subject="S02")
+    nothing["gap"] = nothing["gap"] | {"chi2_best": nothing["gap"]["chi2_plain"]}
+    text = front([first, nothing], [])
+    assert "(medians of 2)" in text
+    assert "for S02 0 %" in text
+    assert "the misfit goes from 8 to 8" in front([nothing], [])
+
+
 def test_a_scored_suite_becomes_a_record_that_the_report_reads():
     path = Path(__file__).parents[2] / "benchmarks" / "ship_validation.py"
     ship = spec_from_file_location("ship_validation", path)

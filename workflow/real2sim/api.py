@@ -155,7 +155,8 @@ class Diagnosis:
         """Return the answer as plain text: verdict, what is left, causes with numbers, what to record next."""
         from real2sim.pages.answer_text import answer_text
 
-        return answer_text(self.system.name, self.answer.to_dict())
+        fitted = self.answer.found.pair.exchanged
+        return answer_text(self.system.name, self.answer.to_dict(), shown_by_fitted=fitted)
 
     def table(self) -> pd.DataFrame:
         """Return one row per cause with some probability: effect, axes, probability, share of the gap closed.

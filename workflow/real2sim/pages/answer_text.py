@@ -33,9 +33,12 @@ def parameter_lines(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return lines_of(rows)
 
 
-def answer_text(name: str, content: Mapping[str, Any]) -> str:
-    """Return what a diagnosis of the system or person ``name`` says; ``content`` is that of diagnosis.json."""
-    lines = [f"{name}: {_verdict(content)}", _gap_line(content["gap"])]
+def answer_text(name: str, content: Mapping[str, Any], *, shown_by_fitted: bool = False) -> str:
+    """Return what a diagnosis of the system or person ``name`` says; ``content`` is that of diagnosis.json.
+
+    ``shown_by_fitted``: the gap is that of the fitted recording, which alone shows it.
+    """
+    lines = [f"{name}: {_verdict(content)}", _gap_line(content["gap"], shown_by_fitted)]
     for cause in content["causes"]:
         if cause["probability"] >= _LEAST:
             lines += _cause_lines(cause)
@@ -85,12 +88,14 @@ def _wrapped(text: str) -> str:
     return fill(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
-def _gap_line(gap: Mapping[str, Any]) -> str:
-    """Return what is left of the trial that was not fitted, in units of what noise leaves of it."""
-    noise = gap["chi2_expected"][-1]
-    plain, best = (gap[key][-1] / noise for key in ("chi2_plain", "chi2_best"))
+def _gap_line(gap: Mapping[str, Any], shown_by_fitted: bool) -> str:
+    """Return what is left of the recording that shows the gap, in units of what noise leaves of it."""
+    i, words = (
+        (0, "fitted recording, which alone shows the gap") if shown_by_fitted else (1, "held-out recording")
+    )
+    plain, best = (gap[key][i] / gap["chi2_expected"][i] for key in ("chi2_plain", "chi2_best"))
     return (
-        f"Left of the held-out recording, in units of noise (1: noise alone): {plain:.3g} by the plain model, "
+        f"Left of the {words}, in units of noise (1: noise alone): {plain:.3g} by the plain model, "
         f"{best:.3g} with what was found"
     )
 

@@ -346,6 +346,11 @@ def _shown(d: Mapping[str, Any]) -> list[str]:
     return trials
 
 
+def is_shown_by_fitted(d: Mapping[str, Any]) -> bool:
+    """Return whether the gap of diagnosis.json is that of the fitted trial, which alone shows it."""
+    return bool(_shown(d) != d["held_out"])
+
+
 def _exchanged(d: Mapping[str, Any]) -> str:
     """Return the reason for fitting the other trial, where that is so."""
     fitted, other = _trials(d["train"]), _trials(d["held_out"])
@@ -354,7 +359,7 @@ def _exchanged(d: Mapping[str, Any]) -> str:
             f"Nothing that was fitted to {other} explains {fitted}. Effects were fitted to {fitted} instead, and had "
             f"to predict {other}: the gap is told of that one."
         )
-    if _shown(d) == d["held_out"]:
+    if not is_shown_by_fitted(d):
         return ""
     return (
         f"Only {fitted} leaves more than noise: effects were fitted on it and had to leave {other} as it is. How far a "
@@ -434,8 +439,7 @@ def _verdict(d: Mapping[str, Any]) -> str:
 
 
 def _shown_words(d: Mapping[str, Any]) -> str:
-    held_out = _shown(d) == d["held_out"]
-    return f"{'the held-out trial ' if held_out else ''}{_trials(_shown(d))}"
+    return f"{'' if is_shown_by_fitted(d) else 'the held-out trial '}{_trials(_shown(d))}"
 
 
 def _beyond_noise(d: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from real2sim.pages.diagnosis import (
     answer_words,
     chi2_closed,
     chi2_per_residual,
+    is_shown_by_fitted,
     shows_gap,
 )
 from real2sim.pages.page import likely, listed, percent, rounded
@@ -98,20 +99,34 @@ def _stage(words: str, names: Sequence[str], of: int) -> str:
 
 def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
     named = [
-        (d, both, closed) for d in diagnoses if (both := chi2_per_residual(d)) and (closed := chi2_closed(d))
+        (d, both, closed)
+        for d in diagnoses
+        if (both := chi2_per_residual(d)) is not None and (closed := chi2_closed(d)) is not None
     ]
     if not named:
         return ""
     before, after = (statistics.median(both[i] for _, both, _ in named) for i in (0, 1))
     least, shares = min(named, key=lambda one: one[2]), [closed for *_, closed in named]
+    change = "falls" if after < before else "goes"
     text = (
-        f"On the trial that was not fitted the misfit falls from {rounded(before, 2)} to {rounded(after, 2)} times "
-        f"what noise leaves{f' (medians of {len(named)})' * (len(named) > 1)}. That closes "
+        f"On {_shown_trial([d for d, *_ in named])} the misfit {change} from {rounded(before, 2)} to "
+        f"{rounded(after, 2)} times what noise leaves{f' (medians of {len(named)})' * (len(named) > 1)}. That closes "
         f"{percent(statistics.median(shares))} of what stands above noise"
     )
     if len(named) > 1 and percent(least[2]) != percent(statistics.median(shares)):
         text += f", for {least[0]['subject']} {percent(least[2])}"
     return f"{text}."
+
+
+def _shown_trial(diagnoses: Sequence[Diagnosis]) -> str:
+    """Return the words for the trial that shows the gap of these people."""
+    fitted = [str(d["subject"]) for d in diagnoses if is_shown_by_fitted(d)]
+    if len(fitted) == len(diagnoses):
+        return "the fitted trial, which alone shows the gap,"
+    if not fitted:
+        return "the trial that was not fitted"
+    who = _people(fitted, len(diagnoses))
+    return f"the trial that was not fitted ({who}: on the fitted one, which alone shows the gap)"
 
 
 def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]]) -> str:

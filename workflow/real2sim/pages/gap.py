@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from real2sim.artefacts import read_json
 from real2sim.pages import style
 from real2sim.pages.answer_text import answer_probability
-from real2sim.pages.diagnosis import answer_words, chi2_per_residual
+from real2sim.pages.diagnosis import answer_words, chi2_per_residual, is_shown_by_fitted
 from real2sim.pages.page import likely
 
 _KEYS = ("subject", "verdict", "probabilities", "gap", "misfit", "train", "held_out", "phantom")
@@ -72,7 +72,7 @@ def _gaps(axes: Axes, shown: Sequence[tuple[dict[str, Any], tuple[float, float]]
             text, (1.0, y + 0.2), (4, 0), textcoords="offset points", va="bottom", fontsize=7, linespacing=1.0
         )
         beside.set_in_layout(False)
-    exchanged = [d.get("shown_on", d["held_out"]) != d["held_out"] for d, _ in shown]
+    exchanged = [is_shown_by_fitted(d) for d, _ in shown]
     names = [f"{d['subject']}{'*' * other}" for (d, _), other in zip(shown, exchanged, strict=True)]
     axes.set_yticks(place, names)
     lines = labels[-1].count("\n") + 1

@@ -436,6 +436,19 @@ def test_page_of_an_effect_that_does_not_carry_over_says_so(tmp_path):
     assert "goes from 8 to 9 times what noise leaves: it does not help" in text
 
 
+@pytest.mark.parametrize(("base", "told"), [(0.1225, True), (0.1223, False), (0.119, False)])
+def test_no_share_is_told_of_a_gap_that_j_does_not_show(tmp_path, base, told):
+    """The causes of such an answer have none either (`diagnosis.report.smallest_gap`)."""
+    d = _diagnosis(settings={"diagnosis": {"report": {"smallest_gap": 0.02}}})
+    d["gap"] |= {"J_base": base, "J_with_effect": 0.13}
+    text = _page(tmp_path, d).text
+    assert ("it does not help: J goes from" in text) is told
+    said = f"J is {base} without and 0.13 with it where noise alone costs 0.12: J does not show this gap"
+    assert (said in text) is not told
+    diagnosis_table(diagnoses=[tmp_path / "diagnosis.json"], out=tmp_path / "table.csv")
+    assert bool(read_table(tmp_path / "table.csv")[0]["gap_closed"]) is told
+
+
 def test_page_says_where_the_shares_of_a_gap_are_chance(tmp_path):
     """A gap that chi-squared sees may be next to nothing in J, of which the shares are."""
     d = _diagnosis()

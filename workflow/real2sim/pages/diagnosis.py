@@ -127,7 +127,8 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
     """Write one row per person: verdict, probability, stage, axes, J with and without the effect, next trial.
 
     Costs J, probability and gap_closed (share of J above its floor) have no unit. ``stage`` and ``axes`` are empty
-    where the verdict is none, ``gap_closed`` also where it is unknown and no law was measured. ``law`` is the kind and
+    where the verdict is none, ``gap_closed`` also where it is unknown and no law was measured, and where J is less
+    above its floor than ``diagnosis.report.smallest_gap``. ``law`` is the kind and
     the place of that law, and ``J_with_effect`` then the cost with it. ``misfit_sd`` is what a named cause leaves of
     the held-out trial, in standard deviations of noise, where its form is not right.
     """
@@ -148,7 +149,7 @@ def diagnosis_table(*, diagnoses: list[Path], out: Path) -> None:
                 "J_base": gap["J_base"],
                 "J_floor": gap["J_floor"],
                 "J_with_effect": gap["J_with_effect"],
-                "gap_closed": _closed(gap) if named else None,
+                "gap_closed": _closed(d) if named else None,
                 "misfit_sd": _misfit_sd(d),
                 "next_trial": d["next_trial"],
                 "train": " ".join(d["train"]),
@@ -293,10 +294,17 @@ def _main_axes(d: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def _closed(gap: Mapping[str, Any]) -> float | None:
-    """Share of J above its floor that goes with the effect; None where J is not above its floor."""
-    closable = gap["J_base"] - gap["J_floor"]
-    return (gap["J_base"] - gap["J_with_effect"]) / closable if closable > 0 else None
+def _closed(d: Mapping[str, Any]) -> float | None:
+    """Share of J above its floor that goes with the effect; None where the answer has no such share of its causes.
+
+    That is where J is above its floor by less than the share ``smallest_gap`` of it that the diagnosis was made with.
+    """
+    gap, closable = d["gap"], d["gap"]["J_base"] - d["gap"]["J_floor"]
+    report = d.get("settings", {}).get("diagnosis", {}).get("report", {})
+    # answers without settings are older than that one
+    if closable <= 0 or closable < report.get("smallest_gap", 0.0) * gap["J_floor"]:
+        return None
+    return float((gap["J_base"] - gap["J_with_effect"]) / closable)
 
 
 def _lead(d: Mapping[str, Any]) -> list[str]:
@@ -478,9 +486,9 @@ def _as_cost(d: Mapping[str, Any]) -> str:
 
 
 def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
-    share = _closed(d["gap"])
+    share = _closed(d)
     if share is None:
-        return f"J is {base} without and {after} with it, both no more than noise alone costs ({floor})"
+        return f"J is {base} without and {after} with it where noise alone costs {floor}: J does not show this gap"
     if share <= 0:
         return f"it does not help: J goes from {base} to {after}, noise alone costs {floor}"
     drop = f"J falls from {base} to {after} with it"

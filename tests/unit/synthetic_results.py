@@ -46,7 +46,7 @@ def write_fits(
     return paths
 
 
-def write_loso(folder: Path, subjects: int) -> list[Path]:
+def write_loso(folder: Path, subjects: int, *, phantom: bool = True) -> list[Path]:
     """Leave-one-out files with an overhead of -1, 1, 3, ... % in J and half of it in RMSE."""
     paths = []
     for s in range(subjects):
@@ -58,7 +58,7 @@ def write_loso(folder: Path, subjects: int) -> list[Path]:
             "rmse_best_m": 0.02,
             "rmse_prior_m": 0.02,
         }
-        record = {"subject": f"S{s + 1:02d}", "phantom": True, "prior": {}, "trials": [trial, trial]}
+        record = {"subject": f"S{s + 1:02d}", "phantom": phantom, "prior": {}, "trials": [trial, trial]}
         path = folder / f"S{s + 1:02d}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(record | {"overhead_J": over, "overhead_rmse": over / 2}))
@@ -79,7 +79,13 @@ def write_pose(path: Path, q: dict[str, np.ndarray], *, phantom: bool = True) ->
 
 
 def write_sweep_poses(
-    folder: Path, levels: list[int], selected: int, *, noise: float = 0.0, seed: int = 0
+    folder: Path,
+    levels: list[int],
+    selected: int,
+    *,
+    noise: float = 0.0,
+    seed: int = 0,
+    phantom: bool = True,
 ) -> list[Path]:
     """Rotation and translation trials: rotation has its knee at ``selected``, translation has none."""
     rng, phase = np.random.default_rng(seed), np.linspace(0, 4 * np.pi, 1201)
@@ -89,10 +95,12 @@ def write_sweep_poses(
         left, right = np.radians(8 + 2.5 * below + 0.2 * (selected - level) + noise * rng.normal(size=2))
         swing = np.sin(phase)
         rz = np.where(swing > 0, left, right) * swing
-        paths.append(write_pose(folder / f"rotation_T{level:02d}" / "pose.parquet", {"rz": rz}))
+        rotation = folder / f"rotation_T{level:02d}" / "pose.parquet"
+        paths.append(write_pose(rotation, {"rz": rz}, phantom=phantom))
         reach = (40 - 1.5 * level + 2 * noise * rng.normal(size=2)) / 1000
         shift = {"tx": reach[0] * swing, "ty": 1.5 * reach[1] * swing}
-        paths.append(write_pose(folder / f"translation_T{level:02d}" / "pose.parquet", shift))
+        translation = folder / f"translation_T{level:02d}" / "pose.parquet"
+        paths.append(write_pose(translation, shift, phantom=phantom))
     return paths
 
 

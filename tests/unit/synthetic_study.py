@@ -70,11 +70,11 @@ def _fits(folder: Path, people: int, phantom: bool) -> list[Path]:
     return paths
 
 
-def _tightness(folder: Path, people: list[str]) -> tuple[Path, list[Path], Path]:
+def _tightness(folder: Path, people: list[str], phantom: bool) -> tuple[Path, list[Path], Path]:
     sweeps, breakpoints = [], []
     for name in people:
         yaml = write_subject_yaml(folder / name / "subject.yaml", loosest=5, tightest=12, selected=9)
-        poses = write_sweep_poses(folder / name, list(range(5, 13)), 9, noise=0.3)
+        poses = write_sweep_poses(folder / name, list(range(5, 13)), 9, noise=0.3, phantom=phantom)
         sweeps.append(folder / name / "sweep.csv")
         breakpoints.append(folder / name / "breakpoints.json")
         tightness_sweep(subject=name, poses=poses, subject_yaml=yaml, out=sweeps[-1])
@@ -86,8 +86,8 @@ def _tightness(folder: Path, people: list[str]) -> tuple[Path, list[Path], Path]
     return cohort, breakpoints, figure
 
 
-def _gates(path: Path, people: list[str]) -> Path:
-    about = {"gate": "gaps", "unit": "s", "key": "quality.gaps", "remedy": REMEDY, "phantom": True}
+def _gates(path: Path, people: list[str], phantom: bool) -> Path:
+    about = {"gate": "gaps", "unit": "s", "key": "quality.gaps", "remedy": REMEDY, "phantom": phantom}
     rows = [
         {
             "subject": name,
@@ -143,11 +143,13 @@ def _cross_trial(path: Path, people: list[str]) -> Path:
     return path
 
 
-def write_twin(folder: Path, *, seeds: int = 3, subject: str = "S99") -> dict[str, Path]:
+def write_twin(
+    folder: Path, *, seeds: int = 3, subject: str = "S99", phantom: bool = True
+) -> dict[str, Path]:
     """Tables of the twins of a person: bars, gait and interface, one row per seed and condition."""
     gait, cloud, bars = [], [], []
     for seed in range(1, seeds + 1):
-        about = {"subject": subject, "seed": seed, "phantom": True}
+        about = {"subject": subject, "seed": seed, "phantom": phantom}
         bars += [
             about | {"bar": "falls", "value": 0, "limit": 0, "met": True},
             about | {"bar": "rmse_deg_knee_angle", "value": 3.5, "limit": 3, "met": seed > 1},
@@ -196,8 +198,8 @@ def write_paper(folder: Path, given: dict[str, Any], twin: dict[str, Path]) -> l
     return out
 
 
-def _paper(folder: Path, given: dict[str, Any]) -> dict[str, Path]:
-    twin = write_twin(folder / "twin")
+def _paper(folder: Path, given: dict[str, Any], phantom: bool) -> dict[str, Path]:
+    twin = write_twin(folder / "twin", phantom=phantom)
     out = write_paper(folder / "paper", given, twin)
     return {"interface": out[2], "gait": out[4], "bars": twin["bars"]}
 
@@ -253,14 +255,13 @@ def write_study(
     priors(fits=t["fits"], icc=t["icc"], published=published, settings=STATISTICS, out=t["priors"])
     shown = folder / "tables" / "priors.csv"
     priors_table(priors=t["priors"], published=published, out=shown)
-    loso_table(
-        loso=write_loso(folder / "loso", people) if people > 2 else [], settings=STATISTICS, out=t["loso"]
-    )
+    loso = write_loso(folder / "loso", people, phantom=phantom) if people > 2 else []
+    loso_table(loso=loso, settings=STATISTICS, out=t["loso"])
     figures = {name: folder / f"{name}.svg" for name in ("icc", "loso", "convergence")}
     icc_figure(fits=t["fits"], icc=t["icc"], out=[figures["icc"]])
     loso_figure(loso=t["loso"], out=[figures["loso"]])
     convergence_figure(fits=fits, floors=[], out=[figures["convergence"]])
-    cohort, breakpoints, tightness = _tightness(folder / "tightness", names)
+    cohort, breakpoints, tightness = _tightness(folder / "tightness", names, phantom)
     # drawn by other stages: any drawing stands for them
     for name in sorted(FIGURES.keys() - {"tightness", *figures}):
         figures[name] = folder / f"{name}.svg"
@@ -278,7 +279,7 @@ def write_study(
     study: dict[str, Any] = {
         "people": dict.fromkeys(names, "calibration") | {"S99": "validation"},
         "figures": [tightness, *figures.values()],
-        "quality": _gates(folder / "quality.csv", [*names, "S99"]),
+        "quality": _gates(folder / "quality.csv", [*names, "S99"], phantom),
         "tightness": cohort,
         "breakpoints": breakpoints,
         "cross_trial": _cross_trial(folder / "cross_trial.csv", names),
@@ -290,7 +291,7 @@ def write_study(
         "loso": t["loso"],
         "fits": fits,
     }
-    study |= _paper(folder, study)
+    study |= _paper(folder, study, phantom)
     given = claim_arguments(folder, study)
     claims(**given)
     record = Path(__file__).parents[2] / "resources" / "paper_gap" / "causes.json"

@@ -144,6 +144,21 @@ def test_real_people_are_judged_by_the_number_itself(tmp_path):
     assert all(row["phantom"] == "false" for row in found.values())
 
 
+@pytest.mark.parametrize("stage", ["sweeps", "tightness", "cross_trial", "loso"])
+def test_claims_on_synthetic_people_say_so_before_anything_was_fitted(tmp_path, stage):
+    given = claim_arguments(tmp_path, write_study(tmp_path, phantom=False))
+    if stage == "tightness":
+        write_json(given[stage], read_json(given[stage]) | {"phantom": True})
+    else:
+        path = given[stage][0] if stage == "sweeps" else given[stage]
+        rows = read_table(path)
+        write_table(path, list(rows[0]), [row | {"phantom": "true"} for row in rows])
+    claims(**given)
+    rows = {row["claim"]: row for row in read_table(given["out"])}
+    assert rows["n_calibration"]["verdict"].endswith(" on the phantom")
+    assert rows["n_calibration"]["phantom"] == "true"
+
+
 def test_the_bootstrap_is_judged_by_simulation(study, tmp_path):
     columns = ("method", "design", "icc", "n_people", "coverage")
     for low, verdict in ((0.7, "does not hold in simulation"), (0.94, "holds in simulation")):

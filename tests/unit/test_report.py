@@ -337,6 +337,20 @@ def test_page_says_that_the_data_are_synthetic_only_where_they_are(tmp_path, pha
     assert ("rests on synthetic people" in page.text) is phantom
 
 
+def test_page_of_synthetic_people_without_fits_says_so(tmp_path):
+    given = write_study(tmp_path, phantom=False)
+    answers, out = [tmp_path / "diagnosis.json"], tmp_path / "report.html"
+    refined = [tmp_path / "refined_phantom.json"]
+    write_json(refined[0], read_json(given["refined"][0]) | {"phantom": True})
+    for phantom, changes in ((False, {}), (True, {}), (True, {"refined": refined})):
+        write_json(answers[0], _diagnosis(phantom=phantom and not changes))
+        report_page(**given | {"fits": []} | changes, title="S", out=out, diagnoses=answers)
+        assert ("rests on synthetic people" in _parsed(out)[0].text) is phantom
+    other = write_study(tmp_path / "other")
+    report_page(**other | {"fits": []}, title="S", out=out)
+    assert "rests on synthetic people" in _parsed(out)[0].text
+
+
 def test_what_is_missing_or_overridden_is_said_at_the_top(tmp_path):
     page, _ = _parsed(_report(tmp_path, people=1, overridden="S01/dynamic_1", diagnosed=False)[0])
     top = page.text[: page.text.index("The cohort")]

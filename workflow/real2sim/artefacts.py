@@ -77,6 +77,11 @@ def read_table(path: Path, required: Iterable[str] = ()) -> list[dict[str, str]]
     return rows
 
 
+def is_phantom(rows: Iterable[Mapping[str, Any]]) -> bool:
+    """Return whether any of these rows of tables, or contents of JSON files, rests on synthetic people."""
+    return any(row.get("phantom") in (True, "true") for row in rows)
+
+
 def number(text: str) -> float:
     """Return the number in a CSV cell, NaN if the cell is empty."""
     return float(text) if text else math.nan

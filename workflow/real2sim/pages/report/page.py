@@ -125,7 +125,6 @@ def _page(study: Study, title: str) -> str:
     contents = "".join(
         f'<li><a href="#{name}">{_heading(part)}</a></li>' for name, part in parts.items() if part
     )
-    phantom = any(fit["phantom"] for fit in study.identification.fits)
     body = [
         *notices(study),
         _answer(study),
@@ -134,7 +133,7 @@ def _page(study: Study, title: str) -> str:
         *shown,
         provenance(study),
     ]
-    return document(title, body, phantom=phantom, script=_SCRIPT)
+    return document(title, body, phantom=study.phantom, script=_SCRIPT)
 
 
 def _answer(study: Study) -> str:

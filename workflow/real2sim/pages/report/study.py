@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from real2sim.artefacts import read_json, read_table
+from real2sim.artefacts import is_phantom, read_json, read_table
 
 Row = dict[str, str]
 
@@ -123,3 +124,11 @@ class Study:
     validation: list[dict[str, Any]]
     claims: Table
     paper_gap: Path | None
+
+    @property
+    def phantom(self) -> bool:
+        """True where any result of the study rests on synthetic people: stages may have run without fits."""
+        i, s, w = self.identification, self.sharing, self.walking
+        tables = (self.quality, i.cross_trial, i.identifiability, s.icc, s.loso, w.interface, w.gait)
+        records = (*self.tightness.people, *i.fits, *s.refined, *self.diagnoses)
+        return is_phantom([*chain.from_iterable(table.rows for table in tables), *records])

@@ -10,13 +10,14 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from real2sim.artefacts import number, read_json, read_table, write_table
+from real2sim.artefacts import is_phantom, number, read_json, read_table, write_table
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, parameter_column
@@ -926,8 +927,8 @@ def claims(
 
 def _on_phantom(e: Evidence) -> bool:
     """Return whether any result that claims are judged by rests on synthetic people."""
-    tables = (*e.icc, *e.walks.gait, *e.walks.interface)
-    return any(row.get("phantom") == "true" for row in tables) or any(r.get("phantom") for r in e.refined)
+    tables = (e.icc, e.fits, e.cross_trial, e.loso, e.walks.gait, e.walks.interface, *e.sweeps)
+    return is_phantom([*chain.from_iterable(tables), e.tightness, *e.refined])
 
 
 def _walks(subject: str, gait: Path | None, interface: Path | None, human: Path | None) -> Walks:

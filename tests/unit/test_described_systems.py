@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +17,7 @@ from real2sim.effects.base import Placed
 from real2sim.effects.families import variables
 from real2sim.effects.markers import drifting_marker
 from real2sim.errors import InputError
+from real2sim.recording.table import marker_columns, required_columns
 from real2sim.system.described_plant import load_model
 from real2sim.system.description import shipped
 from real2sim.verification.systems import cuff, drba, one_axis
@@ -182,6 +184,40 @@ def test_quiet_recording_that_is_too_short_for_a_rest_pose_is_refused(tmp_path):
     train, quiet = (r2s.Recording.read(system, tmp_path / f"{t}.parquet") for t in ("train", "quiet"))
     with pytest.raises(InputError, match=r"(?s)quiet.*1\.2 s.*at least 3 s"):
         r2s.identify(system, train, quiet)
+
+
+def _cuff_standing(marker: str, lost: slice) -> DescribedTrial:
+    """Return a trial of the cuff on a thigh of four markers that stands still, one of them lost for a while."""
+    system = r2s.System.from_yaml(shipped("cuff") / "system.yaml")
+    system = replace(system, markers=replace(system.markers, segment=(*system.markers.segment, "THI_D")))
+    model = load_model(system).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    places = {m: data.site(site).xpos.copy() for m, site in system.markers.sites.items()}
+    thigh = [[0.08, 0, 0.1], [0.08, 0, -0.1], [0.02, -0.07, 0], [0.05, 0, 0]]
+    places |= dict(zip(system.markers.segment, np.array(thigh) + data.body("cuff").xpos, strict=True))
+    rng, time_s, given = np.random.default_rng(1), np.arange(400) / 100, []
+    for name in ("quiet", "train"):
+        columns = {c: 1e-5 * rng.standard_normal(400) for c in required_columns(system)}
+        for m, place in places.items():
+            for c, value in zip(marker_columns(m), place, strict=True):
+                columns[c] += value
+                columns[c][lost if (m, name) == (marker, "train") else slice(0)] = np.nan
+        given.append(r2s.Recording.from_table(system, pd.DataFrame({"time_s": time_s} | columns), name))
+    settings = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
+    return DescribedTrial(system, given[1], given[0], settings)
+
+
+def test_a_segment_whose_pose_is_unknown_for_long_does_not_drive_a_simulation():
+    with pytest.raises(InputError) as refused:
+        _cuff_standing("THI_A", slice(150, 200))
+    assert (refused.value.code, refused.value.place) == ("drive_gap", "column THI_A_x_m, from 1.5 s")
+
+
+@pytest.mark.parametrize(("marker", "last"), [("THI_A", 153), ("THI_D", 200)])
+def test_a_segment_drives_through_short_gaps_and_without_markers_that_its_pose_does_not_need(marker, last):
+    setup = _cuff_standing(marker, slice(150, last)).setup(1)
+    assert np.isfinite(setup.commands).all()
 
 
 def test_marker_of_a_described_system_drifts_as_one_of_the_strap():

@@ -20,11 +20,11 @@ from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose, rotation_xyz
 from real2sim.recording.levels import moving_sd, white_sd
-from real2sim.recording.table import Recording, check_columns, log_columns
+from real2sim.recording.table import Recording, check_columns, log_columns, marker_columns
 from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of
 from real2sim.system.description import BASE_JOINTS, FORCE, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.kinematics import Sample, Solver, rigid_pose, segment_frame
+from real2sim.system.kinematics import Sample, Solver, frame_markers, rigid_pose, segment_frame
 from real2sim.system.plant import RestPose, compiled, mass_on_base
 from real2sim.system.replay import servo_command
 
@@ -87,9 +87,13 @@ class DescribedTrial:
 
     def _check_drive(self) -> None:
         """Refuse gaps in what drives a recording that no line fills within its band."""
-        recording = self._recording
+        recording, system = self._recording, self._system
         most = self._rate / (2 * self._cutoff)
-        for column in self._system.drive.columns.values():
+        # a segment's further markers may be lost: its pose is computed without them
+        of_pose = (
+            (c for m in frame_markers(system) for c in marker_columns(m)) if system.drive.by == POSE else ()
+        )
+        for column in (*system.drive.columns.values(), *of_pose):
             for gap in signals.segments(~np.isfinite(recording.columns[column])):
                 if gap.stop - gap.start > most:
                     raise InputError(

@@ -17,8 +17,16 @@ _EXACT, _MARKER, _LOG, _NEAR = 1e6, 1e3, 1e4, 1e-3
 _ROUNDS, _SMALL = 30, 1e-10
 
 
+def frame_markers(system: System) -> tuple[str, ...]:
+    """Return the markers that the frame of the driven segment is computed from: it is unknown without any of them."""
+    return system.markers.segment[: 4 if system.markers.segment_frame == "pelvis" else 3]
+
+
 def segment_frame(system: System, markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation (n, 3, 3) and origin (n, 3) [m] of the driven segment, of its markers (n, k, 3) [m]."""
+    """Return rotation (n, 3, 3) and origin (n, 3) [m] of the driven segment, of its markers (n, k, 3) [m].
+
+    The first of them are those of `frame_markers`; others count for nothing.
+    """
     if system.markers.segment_frame == "pelvis":
         return pelvis_frame(*np.moveaxis(markers[:, :4], 1, 0))
     first, second, third = np.moveaxis(markers[:, :3], 1, 0)

@@ -223,6 +223,30 @@ def test_nothing_is_invented_where_messages_are_missing(tmp_path, system):
     assert np.isfinite(recording.columns["arm_lift_m"]).all()
 
 
+def _log_of_a_second_of_roll(folder, system):
+    """Read a log of 3 s in which arm_roll is published for a second."""
+    messages = two_topics(lambda joint, i, at: stamped(at), 0.0, n=300)
+    kept = [m for m in messages if m[0] == f"/{LIFT}" or m[1] < START_NS + SECOND]
+    return r2s.Recording.read(system, write_json(folder / "train.mcap", kept))
+
+
+def test_a_joint_that_nothing_reads_does_not_cut_a_log(tmp_path, system):
+    """The description gives arm_roll a controller and says that it is not logged."""
+    other = r2s.System.from_dict(
+        CONTENT | {"machine": {LIFT: {}, ROLL: {"logged": False}}}, tmp_path / "system.yaml"
+    )
+    recording = _log_of_a_second_of_roll(tmp_path, other)
+    assert (len(recording.time_s), recording.findings) == (300, ())
+
+
+def test_a_log_that_is_cut_to_what_one_joint_covers_says_so(tmp_path, system):
+    recording = _log_of_a_second_of_roll(tmp_path, system)
+    (finding,) = recording.findings
+    assert len(recording.time_s) == 100
+    assert (finding.code, finding.severity, finding.place) == ("log_cut", "warning", "column arm_roll_rad")
+    assert "0.99 s of 2.99 s" in finding.message
+
+
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
 def test_what_is_no_recording_is_not_waited_for(tmp_path, system, make):
     make(tmp_path / "train.csv")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.recording.formats.joint_states import read_joint_states
 from real2sim.recording.formats.recordings import Finding
@@ -362,7 +363,30 @@ def _joint_states(path: Path, system: System) -> tuple[pd.DataFrame, list[Findin
     if not series:
         found, expected = "no joint states of this system", f"joints {', '.join(units)}"
         raise InputError(path, "", found, expected, "Name the joints so.", "joint_missing")
-    return _on_one_clock(path, series), findings
+    # a joint that nothing reads must not cut the time that all columns cover
+    wanted = {name: series[name] for name in required_columns(system) if name in series}
+    if len(wanted) < len(required_columns(system)):
+        return pd.DataFrame(columns=[TIME, *series]), findings
+    return _on_one_clock(path, wanted), [*findings, *_find_cut(path, wanted)]
+
+
+def _find_cut(path: Path, series: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[Finding]:
+    """Return a warning where the time that all columns cover is too small a share of the log."""
+    spans = {name: (time_s[0], time_s[-1]) for name, (time_s, _) in series.items()}
+    starts, ends = zip(*spans.values(), strict=True)
+    whole, common = max(ends) - min(starts), min(ends) - max(starts)
+    if common >= _least_complete() * whole:
+        return []
+    place = f"column {min(spans, key=lambda name: spans[name][1] - spans[name][0])}"
+    message = f"all columns are known together for {common:.4g} s of {whole:.4g} s"
+    action = "cut to that time; record the joint over the whole trial, or leave it out of the description"
+    return [Finding("log_cut", "warning", path.name, place, message, action)]
+
+
+@cache
+def _least_complete() -> float:
+    """Return ``ingest.min_complete`` of a configuration that sets nothing."""
+    return float(validated({}, "config", Path("defaults"))["ingest"]["min_complete"])
 
 
 def _on_one_clock(path: Path, series: dict[str, tuple[np.ndarray, np.ndarray]]) -> pd.DataFrame:

@@ -102,6 +102,32 @@ def test_values_between_samples_keep_a_fast_sine():
     assert np.abs(fine - np.sin(2 * np.pi * 33 * at + 0.3))[300:-300].max() < 1e-4
 
 
+@pytest.mark.parametrize("value", [5.0, 0.25, 0.0])
+def test_a_column_that_stands_still_leaves_the_noise_of_others_as_it_is(value):
+    """What interpolation rounds of a constant weighed more than all misfit of the columns that move."""
+    time_s, rng = np.arange(1000) / 100, np.random.default_rng(0)
+    one, other = (
+        np.sin(2 * np.pi * (time_s + late) / 2)[:, None] + 0.01 * rng.standard_normal((1000, 1))
+        for late in (0.0, 0.005)
+    )
+    still = np.full((1000, 1), value)
+    (alone,), _, length = scatter_of_repeats(one, 196)
+    (beside, constant), _, same = scatter_of_repeats(np.hstack([one, still]), 196)
+    assert (beside.sd, same) == pytest.approx((alone.sd, length), rel=1e-9)
+    assert (constant.sd, constant.zero_sd) == (0, 0)
+    (alone,) = scatter_of_pair(one, other)
+    beside, constant = scatter_of_pair(np.hstack([one, still]), np.hstack([other, still]))
+    assert beside.sd == pytest.approx(alone.sd, rel=1e-9)
+    assert (constant.sd, constant.zero_sd) == (0, 0)
+
+
+def test_columns_that_stand_still_at_another_value_have_another_zero():
+    still = np.full((100, 1), 0.25)
+    (scatter,) = scatter_of_pair(still, still + 0.02)
+    assert (scatter.sd, scatter.zero_sd) == pytest.approx((0, 0.02 / np.sqrt(2)))
+    assert scatter_of_repeats(still, 20.0)[0] == (signals.Scatter(0.0, 0.0),)
+
+
 def _recording(values: np.ndarray) -> Recording:
     return Recording("laps", np.arange(len(values)) / 100.0, {"motor_force_N": values, "carriage_m": values})
 

@@ -20,6 +20,8 @@ _PARTS, _LATE = 16, 3
 _LEAST_SAMPLES = 8
 # Of what repeats do not share, samples for each weight of the drive at least, and share of a repeat that those reach
 _SAMPLES_A_WEIGHT, _REACH = 8, 0.125
+# A column whose SD is no larger than this share of its largest value stands still: the rest is rounding
+_ROUNDING = 1e-9
 
 
 def white_sd(values: np.ndarray) -> np.ndarray:
@@ -80,6 +82,11 @@ def beyond_drive(off: np.ndarray, driven: np.ndarray, freedom: int) -> np.ndarra
     return np.asarray(left.reshape(r, count, -1) * np.sqrt(samples / (samples - rank)))
 
 
+def _varies(values: np.ndarray) -> np.ndarray:
+    """Return which columns (c,) of series (n, c) do not stand still."""
+    return np.asarray(np.nanstd(values, axis=0) > _ROUNDING * np.nanmax(np.abs(values), axis=0))
+
+
 def scatter_of_repeats(
     values: np.ndarray, samples: float, first: int = 0, driven: tuple[int, ...] = ()
 ) -> tuple[tuple[Scatter, ...], int, float]:
@@ -88,8 +95,8 @@ def scatter_of_repeats(
     Parameters
     ----------
     samples
-        Length of a repeat, in samples, to 3 %; it is refined to what repeats best, in all columns as shares of what
-        each varies.
+        Length of a repeat, in samples, to 3 %; it is refined to what repeats best, in all columns that vary, as shares
+        of what each varies.
     first
         First sample of the first repeat.
     driven
@@ -102,17 +109,19 @@ def scatter_of_repeats(
     """
     if samples < _LEAST_SAMPLES or (len(values) - 1 - first) < 2 * samples * (1 + _PERIOD_OFF):
         raise ValueError(f"{len(values) - first} samples hold no two repeats of {samples:.1f} samples")
-    usual = np.maximum(np.nanstd(values, axis=0), 1e-300)
+    varies = _varies(values)
+    shares = values[:, varies] / np.nanstd(values[:, varies], axis=0)
 
     def apart(length: float) -> float:
-        return float(repeats(values / usual, length, first).var(axis=0, ddof=1).mean())
+        # where all columns stand still, every length repeats as well as another
+        return float(repeats(shares, length, first).var(axis=0, ddof=1).mean()) if varies.any() else 0.0
 
     around = samples * (1 + _PERIOD_OFF * np.linspace(-1, 1, 61))
     best = around[int(np.argmin([apart(length) for length in around]))]
     near = samples * _PERIOD_OFF / 30
     best = float(minimize_scalar(apart, bounds=(best - near, best + near), method="bounded").x)
     laps = repeats(values, best, first)
-    return _scatter(laps - laps.mean(axis=0), driven), len(laps), best
+    return _scatter(np.where(varies, laps - laps.mean(axis=0), 0.0), driven), len(laps), best
 
 
 def _scatter(off: np.ndarray, driven: tuple[int, ...]) -> tuple[Scatter, ...]:
@@ -138,14 +147,17 @@ def scatter_of_pair(one: np.ndarray, other: np.ndarray, driven: tuple[int, ...] 
     shared = min(len(one), len(other)) - 2 * _LATE
     if shared < _LEAST_SAMPLES:
         raise ValueError(f"{len(one)} and {len(other)} samples")
-    fine = signals.upsampled(signals.bridged(other), _PARTS)
+    known = signals.bridged(other)
+    fine = signals.upsampled(known, _PARTS)
     middle = signals.bridged(one)[_LATE : _LATE + shared]
-    usual = np.maximum(middle.std(axis=0), 1e-300)
+    varies = _varies(middle)
+    usual = middle[:, varies].std(axis=0)
     best, least = middle, np.inf
     for first in range(2 * _LATE * _PARTS + 1):
         moved = fine[first::_PARTS][:shared]
-        apart = float(np.mean(((moved - middle) / usual) ** 2))
+        apart = float(np.sum(((moved - middle)[:, varies] / usual) ** 2))
         if apart < least:
             best, least = moved, apart
-    half = (best - middle) / 2
+    # between samples, what stands still is known but for rounding
+    half = np.where(varies | _varies(known), best - middle, known[:shared] - middle) / 2
     return _scatter(np.stack([half, -half]), driven)

@@ -330,6 +330,29 @@ def test_marker_jump_is_reported(copy):
     assert codes.count("marker_jump") == 2
 
 
+def test_angles_that_jump_by_a_turn_in_the_export_are_continuous(copy):
+    """The ground of the video system looks the other way: the heading sways about 180 deg, and an arm turns."""
+    folder, run = copy
+    path = folder / "dynamic_1.mot"
+    whole = read_markerless(path)
+    turned = {f"pelvis_t{axis}": -whole.columns[f"pelvis_t{axis}"] for axis in "xz"}
+    turned["pelvis_rotation"] = whole.columns["pelvis_rotation"] + np.pi
+    turned["arm_flex_r"] = 2 * whole.time_s
+    plain = table(run() / "dynamic_1" / "joints.parquet")
+    for name in ("pelvis_rotation", "arm_flex_r"):
+        turned[name] = np.angle(np.exp(1j * turned[name]))
+        assert np.abs(np.diff(turned[name])).max() > 6
+    turned["arm_flex_r"][300:310] = np.nan
+    write_coordinates(path, CoordinateRecording(whole.time_s, whole.columns | turned))
+    joints = table(run() / "dynamic_1" / "joints.parquet")
+    off = joints["pelvis_rotation"] - plain["pelvis_rotation"]
+    assert np.nanmax(np.abs(np.angle(np.exp(1j * (off - np.pi))))) < 1e-3
+    for name in ("pelvis_rotation", "arm_flex_r"):
+        known = joints[name][np.isfinite(joints[name])]
+        assert len(known) > 0.9 * len(joints[name])
+        assert np.abs(np.diff(known)).max() < 0.5, name
+
+
 # -------------------- bad input (more of it in test_bad_input.py)
 
 

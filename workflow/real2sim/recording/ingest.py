@@ -337,7 +337,11 @@ def _joints(
         columns, pelvis = _landmarks(trial, recording, marker_names)
     time_fit, space_fit, drift = _fit_markerless(trial, clock, r_pelvis, p_pelvis, pelvis)
     synchronised = drift is not None
-    table = np.column_stack(list(columns.values()))
+    lengths = (
+        {*columns} if kind == "landmarks" else {*filter(is_translation, columns), *named["translations"]}
+    )
+    lengths -= {*named["rotations"]} if kind == "coordinates" else set()
+    table = np.column_stack([v if name in lengths else _unwrapped(v) for name, v in columns.items()])
     gap = trial.settings["max_gap_s"]
     at = time_fit.other_time(clock)
     # column by column: what one coordinate lacks takes nothing from the others
@@ -364,14 +368,20 @@ def _joints(
         "to": "world",
         "covered": float(covered.max()),
     }
-    lengths = (
-        {*columns} if kind == "landmarks" else {*filter(is_translation, columns), *named["translations"]}
-    )
-    lengths -= {*named["rotations"]} if kind == "coordinates" else set()
     return {
         name: (column, "m" if name in lengths else "rad", "opensim")
         for name, column in zip(columns, values.T, strict=True)
     }, report
+
+
+def _unwrapped(angle: np.ndarray) -> np.ndarray:
+    """Return an angle (n,) [rad] without jumps of a whole turn, as an export within 180 deg has them.
+
+    What lies between samples is then no way across the whole range, and what reads the table sees no jump either.
+    """
+    out, known = angle.copy(), np.isfinite(angle)
+    out[known] = np.unwrap(angle[known])
+    return out
 
 
 def _note_what_is_missing(trial: _Trial, covered: dict[str, float]) -> None:

@@ -207,6 +207,18 @@ def test_a_table_that_pandas_would_read_as_another_is_refused(tmp_path, system, 
     assert (caught.value.code, caught.value.place) == (code, place)
 
 
+@pytest.mark.parametrize("index", ["time_s", "arm_lift_m"])
+def test_an_index_of_pandas_in_a_parquet_file_is_a_column(tmp_path, system, index):
+    t = np.arange(30) / 100
+    table = pd.DataFrame({"time_s": t, "arm_lift_m": np.sin(t), "arm_roll_rad": np.arange(30)})
+    table["arm_roll_rad"] = table["arm_roll_rad"].astype("Int64").where(table.index != 3)
+    table.set_index(index).to_parquet(tmp_path / "train.parquet")
+    recording = r2s.Recording.read(system, tmp_path / "train.parquet")
+    assert np.array_equal(recording.time_s, t)
+    assert np.array_equal(recording.columns["arm_lift_m"], np.sin(t))
+    assert np.flatnonzero(np.isnan(recording.columns["arm_roll_rad"])).tolist() == [3]
+
+
 def test_nothing_is_invented_where_messages_are_missing(tmp_path, system):
     messages = list(two_topics(lambda joint, i, at: stamped(at), 0.0, n=300))
     whole = r2s.Recording.read(system, write_json(tmp_path / "whole.mcap", messages))

@@ -296,7 +296,8 @@ def _read_table(path: Path, system: System) -> tuple[pd.DataFrame, list[Finding]
             return pd.DataFrame(columns=names), []
         if suffix == ".parquet":
             _check_parquet(path, wanted)
-            return pd.read_parquet(path, columns=wanted), []
+            # by pandas' own metadata a column may be an index, and no column of the table
+            return pq.read_table(path, columns=wanted).to_pandas(ignore_metadata=True), []
         _check_cells(path, len(names))
         return pd.read_csv(path, usecols=wanted, encoding="utf-8-sig"), []
     except InputError:

@@ -231,6 +231,23 @@ def test_short_gaps_of_a_drive_are_bridged(tmp_path):
     DescribedTrial(own, r2s.Recording.from_table(own, table), None, DESCRIBED)
 
 
+@pytest.mark.parametrize(
+    "settings", [{"plant": {"timestep_s": 0.001}}, {"ingest": {}, "diagnosis": {}}, {"odd": 1}]
+)
+def test_slices_of_the_configuration_that_a_call_does_not_read_are_refused(tmp_path, settings):
+    own = system(tmp_path, FORCED.format(""), by="force")
+    given = swing(own)
+    for call in (
+        lambda: r2s.identify(own, given, settings=settings),
+        lambda: r2s.diagnose(own, train=given, held_out=given, settings=settings),
+    ):
+        with pytest.raises(InputError) as refused:
+            call()
+        assert refused.value.code == "key_unknown"
+        assert f"'{next(iter(settings))}'" in str(refused.value)
+        assert "diagnosis and identifiability" in str(refused.value)
+
+
 def test_a_recording_of_another_system_is_refused_by_its_columns(tmp_path):
     own = system(tmp_path, FORCED.format(""), by="force")
     given = swing(own)

@@ -260,7 +260,8 @@ def identify(
     Raises
     ------
     InputError
-        Where recording and description do not fit together, or the simulation of the plain fit fails.
+        Where recording and description do not fit together, the simulation of the plain fit fails, or ``settings`` has
+        other slices.
     """
     options = _settings(settings)
     search = options["diagnosis"]["search"]
@@ -326,8 +327,8 @@ def diagnose(
     Raises
     ------
     InputError
-        Where recordings and description do not fit together, the simulation of the plain fit fails, or another model
-        has the name ``configured``.
+        Where recordings and description do not fit together, the simulation of the plain fit fails, another model has
+        the name ``configured``, or ``settings`` has other slices.
     """
     options, given = _settings(settings), (train, held_out, *further)
     recordings = {r.name: r for r in given}
@@ -425,5 +426,14 @@ def _evidence(
 
 
 def _settings(given: Mapping[str, Any] | None) -> Settings:
+    if others := sorted(str(name) for name in given or () if name not in _SLICES):
+        raise InputError(
+            "settings",
+            "top level",
+            f"key {', '.join(map(repr, others))}",
+            f"the slices {' and '.join(_SLICES)}, which are all that a described system reads",
+            "Remove the others, or give them to the workflow (--configfile).",
+            "key_unknown",
+        )
     checked = validated(dict(given or {}), "config", Path("settings"))
     return cast("Settings", {name: checked[name] for name in _SLICES})

@@ -43,13 +43,21 @@ def test_plain_fit_finds_the_resonance_from_starts_of_which_the_nearest_is_overd
     assert fit.values["d_x"] == pytest.approx(DAMPING, rel=0.05)
 
 
-@pytest.mark.parametrize(("step_s", "told"), [(1e-3, True), (5e-4, True), (1e-4, False)])
-def test_a_step_that_moves_the_fit_is_told(system, step_s, told):
+@pytest.mark.parametrize(("step_s", "halved"), [(5e-4, True), (1e-4, False)])
+def test_a_step_that_would_move_the_fit_is_halved_until_it_does_not(system, step_s, halved):
     fit = r2s.identify(replace(system, step_s=step_s), _recording(system, MASS, 1))
-    assert any(finding.code == "step_coarse" for finding in fit.findings) is told
-    # by how much the numbers are off is no question of noise
-    off = abs(fit.values["d_x"] / DAMPING - 1)
-    assert (off > 0.002) is told
+    codes = {finding.code for finding in fit.findings}
+    assert ("step_refined" in codes) is halved
+    assert (fit.system.step_s < step_s) is halved
+    assert "step_coarse" not in codes
+    assert fit.values["d_x"] == pytest.approx(DAMPING, rel=0.002)
+
+
+def test_a_step_that_may_not_be_halved_far_enough_is_told(system):
+    few = {"diagnosis": {"described": {"channels": {"most_step_parts": 2}}}}
+    fit = r2s.identify(replace(system, step_s=1e-3), _recording(system, MASS, 1), settings=few)
+    assert {"step_refined", "step_coarse"} <= {finding.code for finding in fit.findings}
+    assert abs(fit.values["d_x"] / DAMPING - 1) > 0.002
 
 
 @pytest.mark.parametrize(("heavier", "verdict"), [(1.0, "none"), (1.1, "added_mass")])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -28,7 +28,7 @@ from real2sim.diagnosis.intervals import Known, parameter_verdicts, precision_by
 from real2sim.diagnosis.machines import beside_configured, search_with
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import Pair, Search
-from real2sim.diagnosis.step_check import step_findings
+from real2sim.diagnosis.step_check import fine_enough, step_findings
 from real2sim.diagnosis.system_evidence import SystemEvidence
 from real2sim.diagnosis.trials import Trials
 from real2sim.effects.base import Effect, Placed
@@ -270,20 +270,18 @@ def identify(
         *_own_actuators(system),
         *_odd_channels(system, {recording.name: recording}, options),
     ]
-    evidence = _evidence(system, recording, quiet, options, threads)
-    lower, upper = system.bounds()
-    z = plain_fit(evidence, system, (lower + upper) / 2, search)
-    evidence = evidence.adapted(system.values(z))
-    draws = options["diagnosis"]["noise_draws"]
-    evidence = evidence.with_noise(system.values(z), draws, search["seed"])
-    pair = Pair(evidence, evidence.as_held_out(), system)
+    described, (pair, z) = system, _whitened(system, recording, quiet, options, threads)
+    system = fine_enough(pair, z, options["diagnosis"])
+    if system != described:
+        pair, z = _whitened(system, recording, quiet, options, threads)
+    evidence = pair.train
     fitted = Search(pair, search).fit((), z, final=True)
     check_simulated(pair, fitted)
     precision = precision_by_fit(pair, fitted, evidence.samples, options["diagnosis"])
     known = parameter_verdicts(pair, fitted, precision.wider, options)
     values = dict(zip(system.parameter_names, map(float, system.values(fitted.base)), strict=True))
     channels = options["diagnosis"]["described"]["channels"]
-    steps = step_findings(pair, fitted, options["diagnosis"])
+    steps = step_findings(pair, fitted.base, described, options["diagnosis"])
     return Fit(
         system,
         recording.name,
@@ -294,6 +292,18 @@ def identify(
         _traces(evidence, pair, fitted),
         (*odd, *units_in_doubt(system, values, recording.name, channels["bound_share"]), *steps),
     )
+
+
+def _whitened(
+    system: System, recording: Recording, quiet: Recording | None, options: Settings, threads: int
+) -> tuple[Pair, np.ndarray]:
+    """Return a recording as both trials of a pair, whitened by noise simulated at its plain fit (p,), and that fit."""
+    search, draws = options["diagnosis"]["search"], options["diagnosis"]["noise_draws"]
+    evidence = _evidence(system, recording, quiet, options, threads)
+    lower, upper = system.bounds()
+    z = plain_fit(evidence, system, (lower + upper) / 2, search)
+    evidence = evidence.adapted(system.values(z)).with_noise(system.values(z), draws, search["seed"])
+    return Pair(evidence, evidence.as_held_out(), system), z
 
 
 def _traces(evidence: Evidence, pair: Pair, fitted: Hypothesis) -> dict[str, np.ndarray]:
@@ -345,12 +355,16 @@ def diagnose(
     findings += _odd_channels(system, recordings, options)
     _tell_findings(findings, tell)
     more = tuple(r.name for r in further)
-    outcome, machines = search_with(
-        {
-            name: _trials(each, recordings, quiet, options, tell, (train.name, held_out.name), more, threads)
-            for name, each in systems.items()
-        }
-    )
+    trials = {
+        name: _finely(
+            each,
+            lambda s: _trials(
+                s, recordings, quiet, options, tell, (train.name, held_out.name), more, threads
+            ),
+        )
+        for name, each in systems.items()
+    }
+    outcome, machines = search_with(trials)
     if machines:
         system = systems[machines[0].name]
     plain = dict(
@@ -358,9 +372,22 @@ def diagnose(
     )
     channels, found = options["diagnosis"]["described"]["channels"], outcome.found
     doubts = list(units_in_doubt(system, plain, train.name, channels["bound_share"]))
-    doubts += step_findings(found.pair, found.attribution.plain, options["diagnosis"])
+    doubts += step_findings(found.pair, found.attribution.plain.base, system, options["diagnosis"])
     _tell_findings(doubts, tell)
-    return Diagnosis(system, answer(outcome, options, tell, machines=machines), (*findings, *doubts))
+    return Diagnosis(
+        found.pair.system, answer(outcome, options, tell, machines=machines), (*findings, *doubts)
+    )
+
+
+def _finely(system: System, trials_of: Callable[[System], Trials]) -> Trials:
+    """Return the trials of a system with the time step that its recordings ask for (`fine_enough`)."""
+    trials = trials_of(system)
+    pair, z = trials.prepare()
+    fine = fine_enough(pair, z, trials.options)
+    if fine != system:
+        trials.progress(f"the time step is halved to {fine.step_s:.4g} s: its error would look like a cause")
+        return trials_of(fine)
+    return replace(trials, prepared=(pair, z))
 
 
 def _trials(

@@ -665,6 +665,8 @@ DiagnosisDescribedChannelsSettings = TypedDict(
         "most_scale": float,
         "bound_share": float,
         "step_sd": float,
+        "step_chi2_sd": float,
+        "most_step_parts": int,
     },
 )
 

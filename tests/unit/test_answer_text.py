@@ -4,7 +4,8 @@ import copy
 from types import SimpleNamespace
 
 from real2sim.api import Diagnosis
-from real2sim.pages.answer_text import answer_probability, answer_text, lines_of
+from real2sim.diagnosis.stated import answer_probability
+from real2sim.pages.answer_text import answer_text, lines_of
 
 CONTENT = {
     "verdict": "coulomb",

@@ -307,6 +307,13 @@ def test_score_counts_what_is_right_and_what_is_wrong(tmp_path):
     assert claims["pair on one axis: unknown"]["value"] == 0.5
     assert claims["pair on one axis: another set, sure and not marked"]["value"] == 0.5
     assert claims["mixture of two that each can be seen: exact set"]["n"] == 1
+    # six of nine are not wholly right: two that are wrong, one `unknown` and three pairs of which one name is missing
+    surer = claims["every answer surer than 90 %: right"]
+    assert (surer["value"], surer["n"], surer["met"]) == (pytest.approx(3 / 9), 9, False)
+    named = claims["every answer surer than 90 %: right, or one of two causes named first"]
+    assert (named["value"], named["n"]) == (pytest.approx(6 / 9), 9)
+    single = claims["right where surer than 90 %: one cause or none, neither left out nor a random law"]
+    assert (single["value"], single["n"]) == (pytest.approx(3 / 5), 5)
     assert {row["case"] for row in score["wrong"]} == {"C0002", "C0004", "C0008"}
     assert [row["name"] for row in score["baselines"]] == ["this diagnosis", "always none", "AIC"]
     assert score["baselines"][1] == {

@@ -2,7 +2,7 @@
 
 import pytest
 from real2sim.artefacts import number, read_json, read_table, write_json
-from real2sim.pages.answer_text import answer_probability
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.diagnosis import answer_words, chi2_closed, chi2_per_residual
 from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
 from real2sim.pages.gap import gap_figure

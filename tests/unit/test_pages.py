@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 from real2sim.__main__ import main
 from real2sim.artefacts import number, read_table, write_json
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.errors import InputError
 from real2sim.geometry import AXES, INTERFACE_MARKERS
-from real2sim.pages.answer_text import answer_probability
 from real2sim.pages.diagnosis import (
     _model,
     answer_words,

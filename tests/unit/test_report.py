@@ -267,7 +267,7 @@ def test_the_front_answers_the_question_of_the_study():
     first, second = _diagnosis(), _diagnosis()
     second |= {"subject": "S02", "next_trial": "sway in pitch"}
     claims = [
-        {"claim": "right where surer than 90 %", "value": 0.92, "n": 38, "wilson95": [0.79, 0.97]},
+        {"claim": "every answer surer than 90 %: right", "value": 0.92, "n": 38, "wilson95": [0.79, 0.97]},
         {"claim": "false alarm on null", "value": None, "n": 0},
     ]
     old = {"date": "2026-01-01", "suite": "a", "claims": [claims[0] | {"value": 0.1}]}
@@ -284,7 +284,7 @@ def test_the_front_answers_the_question_of_the_study():
     }
     elsewhere = second | {"where": second["where"] | {"stage": "robot"}}
     assert _stages(front([first, elsewhere], []))["robot side"] == "S02"
-    assert "answers surer than 90 %: 92 % [79 %, 97 %] of 38 right" in text
+    assert "answers surer than 90 %, whatever the cause: 92 % [79 %, 97 %] of 38 right" in text
     assert "given one" not in text
     assert "S02: sway in pitch." in text
     assert front([], []) == ""

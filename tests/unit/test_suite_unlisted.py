@@ -603,6 +603,13 @@ def test_score_of_unlisted_causes(tmp_path, capsys):
     score = _score(tmp_path, made)
     claims = {row["claim"]: row for row in score["targets"]}
     assert claims["random law: a wrong name surer than 90 %"]["value"] == pytest.approx(2 / 6)
+    assert claims["random law: another name that closes as much, surer than 90 %"]["value"] == pytest.approx(
+        1 / 6
+    )
+    surer = claims["every answer surer than 90 %: right"]
+    assert (surer["value"], surer["n"]) == (pytest.approx(6 / 8), 8), (
+        "a sure wrong name counts, in every stratum"
+    )
     assert claims["random law: unknown, or an equal law"]["value"] == pytest.approx(3 / 6)
     assert claims["left out: unknown, or an equal law"]["value"] == 1.0
     assert claims["left out: unknown with a law measured"]["value"] == 0.5

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
-from real2sim.diagnosis.evidence import CONFIGURED
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.law import law_sentence
 from real2sim.pages.page import percent
 
@@ -52,29 +52,6 @@ def answer_text(name: str, content: Mapping[str, Any], *, shown_by_fitted: bool 
     if content["next_trial"]:
         lines.append(_wrapped(f"To be recorded next: {content['next_trial']}"))
     return "\n".join(lines)
-
-
-def other_robot(content: Mapping[str, Any]) -> str | None:
-    """Return the robot that diagnosis.json finds in the place of the configured one; None where it finds none."""
-    machine = content.get("machine")
-    return None if machine is None or machine["name"] == CONFIGURED else str(machine["name"])
-
-
-def answer_probability(content: Mapping[str, Any]) -> float:
-    """Return the probability of the answer of diagnosis.json: of a set, that these effects act and no others.
-
-    A single effect, ``none`` and ``unknown`` have their entry in ``probabilities``. Effects that are named beside
-    another robot have the probability that they act with that robot.
-    """
-    names, robot = content.get("verdict_set") or [content["verdict"]], other_robot(content)
-    if len(names) > 1 or (robot is not None and names[0] not in ("none", "unknown")):
-        # forms and places of the set together; each entry counts for its initial state and its robot alone
-        same = [row["probability"] for row in content["considered"] if set(row["effects"]) == set(names)]
-        probability = float(sum(p or 0.0 for p in same))
-    else:
-        probability = float(content["probabilities"][content["verdict"]])
-    # averaging over robots leaves out those that were not searched to the end
-    return probability if robot is None else min(probability, float(content["machine"]["probability"]))
 
 
 def _verdict(content: Mapping[str, Any]) -> str:

@@ -17,10 +17,10 @@ from matplotlib.ticker import MaxNLocator
 from real2sim.artefacts import read_json, write_table
 from real2sim.diagnosis.evidence import CONFIGURED
 from real2sim.diagnosis.sensors import above
+from real2sim.diagnosis.stated import answer_probability, other_robot
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.pages import style
-from real2sim.pages.answer_text import answer_probability, other_robot
 from real2sim.pages.law import law_section, law_sentence, law_words, misfit_sentence
 from real2sim.pages.page import (
     bar,

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from real2sim.pages.answer_text import answer_probability
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.diagnosis import (
     STAGES,
     answer_words,
@@ -18,7 +18,7 @@ from real2sim.pages.diagnosis import (
     shows_gap,
 )
 from real2sim.pages.page import likely, listed, percent, rounded
-from real2sim.pages.validation import latest_claims
+from real2sim.pages.validation import SURE, SURE_SINGLE, latest_claims
 
 # Names of a person each up to so many, else their number
 _NAMED = 6
@@ -160,7 +160,8 @@ def _share(row: Mapping[str, Any]) -> str:
 
 # What a reader asks of a scored suite before they trust an answer
 _CLAIMS = {
-    "right where surer than 90 %": "answers surer than 90 %: {share} of {n} right",
+    SURE: "answers surer than 90 %, whatever the cause: {share} of {n} right, of two causes with both named",
+    SURE_SINGLE: "answers surer than 90 %, without pairs and causes that are listed nowhere: {share} of {n} right",
     "false alarm on null": "no cause there: {share} of {n} people given one",
     "left out: a wrong name surer than 90 %": "the cause taken out of the catalogue: {share} of {n} answers a wrong "
     "name surer than 90 %",

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from real2sim.artefacts import read_json
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages import style
-from real2sim.pages.answer_text import answer_probability
 from real2sim.pages.diagnosis import answer_words, chi2_per_residual, is_shown_by_fitted
 from real2sim.pages.page import likely
 

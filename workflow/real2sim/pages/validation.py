@@ -9,6 +9,8 @@ from typing import Any
 from real2sim.pages.page import folded, paragraph, percent, rounded, table
 
 RECORD_KEYS = ("suite", "seed", "rests_on", "cases", "planned", "commit", "date", "claims")
+SURE = "every answer surer than 90 %: right"
+SURE_SINGLE = "right where surer than 90 %: one cause or none, neither left out nor a random law"
 # Claims of a score that a reader asks first, in plain words
 FIRST = {
     "cause, top-1, rho >= 0.2": "one cause, a gap of 0.2 of the noise floor and more: named first",
@@ -18,7 +20,8 @@ FIRST = {
     "out of library: unknown": "a cause that is not in the catalogue: unknown",
     "out of library: a wrong name": "a cause that is not in the catalogue: a wrong name",
     "false alarm on null": "no cause at all: one is claimed all the same",
-    "right where surer than 90 %": "answers surer than 90 %: right",
+    SURE: "every answer surer than 90 %: right, of two causes with both named",
+    SURE_SINGLE: "answers surer than 90 %, without pairs, causes left out and random laws: right",
     "left out: unknown, or an equal law": "a cause taken out of the catalogue: unknown, or a cause as good",
     "left out: a wrong name surer than 90 %": "a cause taken out of the catalogue: a wrong name, and sure",
     "left out, law: stage": "its measured law: in the right stage",

@@ -12,6 +12,7 @@ from statsmodels.stats.proportion import proportion_confint
 
 from real2sim.artefacts import read_json, write_json
 from real2sim.diagnosis.decide import NONE, UNKNOWN
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.effects.catalogue import EFFECT_NAMES, GROUPS
 from real2sim.inference.identifiability import DETERMINED
 from real2sim.verification.claims import Row, claim, figure, print_table
@@ -83,6 +84,7 @@ def score_diagnosis(*, answers: list[Path], truths: list[Path], suite: str, out:
     answered = [True] * len(rows) + [False] * len(failed)
     targets = [
         claim("cases that could be answered at all", answered, "100 %", lambda v: v >= 1.0),
+        *_score_sure(rows),
         *(_targets(by, by["null"] + by["null_hard"]) if listed else []),
         *score_unlisted(rows),
     ]
@@ -116,6 +118,29 @@ def _is_right(row: Row) -> bool:
     if row["case"]["stratum"] in UNLISTED:
         return answers_rightly(row)
     return row["answer"]["verdict"] in row["names"]
+
+
+def _score_sure(rows: list[Row]) -> list[Row]:
+    """Score every answer whose probability is above 0.9, of all strata."""
+    # the probability of a set is that these effects act and no others, and so the set has to be the true one
+    sure = [r for r in rows if answer_probability(r["answer"]) > SURE]
+    partly = [_is_wholly_right(r) or (len(r["names"]) > 1 and _is_right(r)) for r in sure]
+    return [
+        claim(
+            "every answer surer than 90 %: right",
+            [_is_wholly_right(r) for r in sure],
+            ">= 97 %",
+            lambda v: v >= 0.97,
+        ),
+        claim("every answer surer than 90 %: right, or one of two causes named first", partly, "none", None),
+    ]
+
+
+def _is_wholly_right(row: Row) -> bool:
+    """Return whether the answer is the cause and no other, both of two, `none`, or right as an unlisted cause's is."""
+    if row["case"]["stratum"] in UNLISTED:
+        return answers_rightly(row)
+    return set(row["answer"]["verdict_set"]) == set(row["names"])
 
 
 def _targets(by: dict[str, list[Row]], nulls: list[Row]) -> list[Row]:
@@ -207,7 +232,7 @@ def _is_marked(row: Row) -> bool:
 
 
 def _exact(rows: list[Row]) -> list[bool]:
-    return [set(r["answer"]["verdict_set"]) == set(r["names"]) for r in rows]
+    return [_is_wholly_right(r) for r in rows]
 
 
 def _score_mixtures(mixed: list[Row]) -> list[Row]:
@@ -313,13 +338,18 @@ def _score_parameters(library: list[Row], nulls: list[Row]) -> list[Row]:
 
 
 def _score_calibration(rows: list[Row], n: int) -> list[Row]:
-    """Score the probabilities of all cases; ``n`` is the count that the table names."""
+    """Score the probabilities of cases with one cause or none; ``n`` is the count that the table names."""
     found = _calibration(rows)
     coverage = found["set90_coverage"]
     single = [r for r in rows if len(r["names"]) == 1]
     sure = [r for r in single if r["answer"]["probabilities"][r["answer"]["verdict"]] > SURE]
     return [
-        claim("right where surer than 90 %", _right(sure), ">= 97 %", lambda v: v >= 0.97),
+        claim(
+            "right where surer than 90 %: one cause or none, neither left out nor a random law",
+            _right(sure),
+            ">= 97 %",
+            lambda v: v >= 0.97,
+        ),
         figure("expected calibration error", found["ece"], n, "<= 0.04", lambda v: v <= 0.04),
         figure("90 % sets: coverage", coverage, n, "88-93 %", lambda v: 0.88 <= v <= 0.93),
         figure("90 % sets: mean size", found["set90_mean_size"], n, "<= 2", lambda v: v <= 2),

@@ -6,7 +6,7 @@ import statistics
 from collections import Counter
 from html import escape
 
-from real2sim.pages.answer_text import answer_probability
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.diagnosis import (
     answer_words,
     chi2_closed,

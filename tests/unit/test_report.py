@@ -13,7 +13,7 @@ from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
 from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
-from real2sim.pages.validation import RECORD_KEYS
+from real2sim.pages.validation import RECORD_KEYS, SURE, SURE_SINGLE
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_refined, write_study
 from test_pages import _diagnosis, _Page
@@ -250,7 +250,7 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
         **arguments, title="S", out=out, diagnoses=[answer], validation=[*records, tmp_path / "other.json"]
     )
     page, _ = _parsed(out)
-    assert "a law that nobody listed: unknown, or a cause as good" in page.text
+    assert "a law that nobody listed: unknown, or a cause that closes as much" in page.text
     assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
     assert page.text.count("An earlier one") == 1
 
@@ -284,7 +284,9 @@ def test_the_front_answers_the_question_of_the_study():
     }
     elsewhere = second | {"where": second["where"] | {"stage": "robot"}}
     assert _stages(front([first, elsewhere], []))["robot side"] == "S02"
-    assert "answers surer than 90 %, whatever the cause: 92 % [79 %, 97 %] of 38 right" in text
+    counted = "whatever the cause (right: exactly the cause, of two both): 92 % [79 %, 97 %] of 38 right (2026-11-26)"
+    assert counted in text
+    assert "largest suite" not in text, "of as many cases: the later one counts"
     assert "given one" not in text
     assert "S02: sway in pitch." in text
     assert front([], []) == ""
@@ -295,6 +297,26 @@ def test_the_front_answers_the_question_of_the_study():
     nobody["probabilities"] = {"none": 1.0}
     assert "Nowhere that these recordings show." in front([nobody], [])
     assert "Nothing more" in front([nobody], [])
+
+
+def test_the_front_puts_the_largest_suite_beside_the_latest():
+    def suite(date, share, n, claim="left out: a wrong name surer than 90 %"):
+        row = {"claim": claim, "value": share, "n": n, "wilson95": [share, share + 0.1]}
+        return {"date": date, "suite": "a", "claims": [row]}
+
+    records = [
+        suite("2026-11-28 09:05", 0.2, 32),
+        suite("2026-11-30 01:57", 0.0, 10),
+        suite("2026-11-29", 0.1, 31),
+    ]
+    text = front([_diagnosis()], records)
+    assert "a name of the same group that closes as much counts as right" in text
+    latest = "0 % [0 %, 10 %] of 10 answers a wrong name surer than 90 % (2026-11-30)"
+    assert f"{latest}; largest suite, of 2026-11-28: 20 % [20 %, 30 %] of 32<" in text
+    single = suite("2026-11-29", 0.9, 54, SURE_SINGLE)
+    only = "of one cause or none (no pair, cause taken out or random law): 90 % [90 %, 100 %] of 54 right"
+    assert only in front([_diagnosis()], [*records, single])
+    assert only not in front([_diagnosis()], [single, suite("2026-11-30", 0.8, 48, SURE)])
 
 
 def test_the_front_says_which_trial_shows_the_gap():

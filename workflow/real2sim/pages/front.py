@@ -18,7 +18,7 @@ from real2sim.pages.diagnosis import (
     shows_gap,
 )
 from real2sim.pages.page import likely, listed, percent, rounded
-from real2sim.pages.validation import SURE, SURE_SINGLE, latest_claims
+from real2sim.pages.validation import SURE, SURE_SINGLE, latest_and_largest
 
 # Names of a person each up to so many, else their number
 _NAMED = 6
@@ -136,38 +136,50 @@ def _trust(diagnoses: Sequence[Diagnosis], records: Sequence[Mapping[str, Any]])
     if marked:
         text = f"More than noise is left beside what is named for {_people(marked, len(diagnoses))} (misfit mark)."
         parts.append(escape(text))
-    if records:
-        claims = latest_claims(records)
-        scored = [
-            words.format(share=_share(claims[name]), n=claims[name]["n"])
-            for name, words in _CLAIMS.items()
-            if name in claims
-        ]
-        if scored:
-            parts.append(
-                "How often it is right about real people is not known. On synthetic people whose cause was withheld, "
-                "in the latest suite that asked each question (95 % intervals in brackets):"
-            )
-            parts.append("<ul>" + "".join(f"<li>{escape(text)}</li>" for text in scored) + "</ul>")
+    scored = [text for claim, words in _CLAIMS.items() if (text := _scored(records, claim, words))]
+    if not latest_and_largest(records, SURE):
+        scored = [*filter(None, [_scored(records, SURE_SINGLE, _SINGLE)]), *scored]
+    if scored:
+        parts.append(
+            "How often it is right about real people is not known. On synthetic people whose cause was withheld, in "
+            "the latest suite that asked each question and, where that is another one, in the largest (by the code "
+            "of its day; 95 % intervals in brackets):"
+        )
+        parts.append("<ul>" + "".join(f"<li>{escape(text)}</li>" for text in scored) + "</ul>")
     return "\n".join(parts)
 
 
-def _share(row: Mapping[str, Any]) -> str:
-    """Share of a claim with its interval."""
+def _scored(records: Sequence[Mapping[str, Any]], claim: str, words: str) -> str:
+    """Return a claim of the latest suite that asked it and of the largest one; empty where none did."""
+    rows = latest_and_largest(records, claim)
+    if not rows:
+        return ""
+    shares = [f"{percent(row['value'])} {_interval(row)} of {row['n']}" for row in rows]
+    dates = [str(row["date"])[:10] for row in rows]
+    larger = f"; largest suite, of {dates[1]}: {shares[1]}" if len(rows) > 1 else ""
+    return f"{words.format(share=shares[0])} ({dates[0]}){larger}"
+
+
+def _interval(row: Mapping[str, Any]) -> str:
     low, high = (percent(end) for end in row["wilson95"])
-    return f"{percent(row['value'])} [{low}, {high}]"
+    return f"[{low}, {high}]"
 
 
 # What a reader asks of a scored suite before they trust an answer
 _CLAIMS = {
-    SURE: "answers surer than 90 %, whatever the cause: {share} of {n} right, of two causes with both named",
-    SURE_SINGLE: "answers surer than 90 %, without pairs and causes that are listed nowhere: {share} of {n} right",
-    "false alarm on null": "no cause there: {share} of {n} people given one",
-    "left out: a wrong name surer than 90 %": "the cause taken out of the catalogue: {share} of {n} answers a wrong "
-    "name surer than 90 %",
-    "random law: unknown, or an equal law": "a law that nobody listed: {share} of {n} answers unknown, or a cause as "
-    "good",
+    SURE: "answers surer than 90 %, whatever the cause (right: exactly the cause, of two both): {share} right",
+    "false alarm on null": "no cause there: {share} people given one",
+    "left out: a wrong name surer than 90 %": "the cause taken out of the catalogue (a name of the same group that "
+    "closes as much counts as right): {share} answers a wrong name surer than 90 %",
+    "left out: another name that closes as much, surer than 90 %": "the cause taken out of the catalogue: {share} "
+    "answers such a name of the same group, surer than 90 %",
+    "random law: unknown, or an equal law": "a law that nobody listed: {share} answers unknown, or a cause that closes "
+    "as much",
 }
+# Asked where no suite has counted all answers
+_SINGLE = (
+    "answers surer than 90 % of one cause or none (no pair, cause taken out or random law): {share} right"
+)
 
 
 def _next(diagnoses: Sequence[Diagnosis]) -> str:

@@ -21,14 +21,18 @@ FIRST = {
     "out of library: a wrong name": "a cause that is not in the catalogue: a wrong name",
     "false alarm on null": "no cause at all: one is claimed all the same",
     SURE: "every answer surer than 90 %: right, of two causes with both named",
-    SURE_SINGLE: "answers surer than 90 %, without pairs, causes left out and random laws: right",
-    "left out: unknown, or an equal law": "a cause taken out of the catalogue: unknown, or a cause as good",
+    SURE_SINGLE: "answers surer than 90 % of one cause or none (no pair, cause taken out or random law): right",
+    "left out: unknown, or an equal law": "a cause taken out of the catalogue: unknown, or another that closes as much",
     "left out: a wrong name surer than 90 %": "a cause taken out of the catalogue: a wrong name, and sure",
+    "left out: another name that closes as much, surer than 90 %": "a cause taken out of the catalogue: another that "
+    "closes as much, and sure; counted as right",
     "left out, law: stage": "its measured law: in the right stage",
     "left out, law: axes": "its measured law: along the right axes",
     "left out, law: gap closed, median": "its measured law: share of the gap that it closes, median",
-    "random law: unknown, or an equal law": "a law that nobody listed: unknown, or a cause as good",
+    "random law: unknown, or an equal law": "a law that nobody listed: unknown, or a cause that closes as much",
     "random law: a wrong name surer than 90 %": "a law that nobody listed: a wrong name, and sure",
+    "random law: another name that closes as much, surer than 90 %": "a law that nobody listed: a cause that closes as "
+    "much, and sure; counted as right",
     "random law, law: stage": "the law that was measured: in the right stage",
     "random law, law: axes": "the law that was measured: along the right axes",
     "random law, law: gap closed, median": "the law that was measured: share of the gap that it closes, median",
@@ -40,12 +44,21 @@ def latest_first(records: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]
     return sorted(records, key=lambda r: (str(r["date"]), str(r["suite"])), reverse=True)
 
 
-def latest_claims(records: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Return each claim by its name, of the latest record that has a value of it."""
-    claims: dict[str, Mapping[str, Any]] = {}
-    for record in reversed(latest_first(records)):
-        claims |= {row["claim"]: row for row in record["claims"] if row["value"] is not None}
-    return claims
+def latest_and_largest(records: Sequence[Mapping[str, Any]], claim: str) -> list[Mapping[str, Any]]:
+    """Return the claim's row of the latest record that has a value of it, and of the one with most cases if another.
+
+    Each row has the ``date`` of its record as well. Of two records with as many cases, the later one counts.
+    """
+    found = [
+        {**row, "date": record["date"]}
+        for record in latest_first(records)
+        for row in record["claims"]
+        if row["claim"] == claim and row["value"] is not None
+    ]
+    if not found:
+        return []
+    largest = max(found, key=lambda row: row["n"])
+    return [found[0]] if largest is found[0] else [found[0], largest]
 
 
 def withheld_check(records: Sequence[Mapping[str, Any]]) -> str:

@@ -3,7 +3,8 @@
     python benchmarks/ship_validation.py results/suite/standard/score.json --config config/suite-standard.yaml
 
 Writes resources/validation/<suite>-<seed>.json: what was asked, what came out, by which commit and when. Refuses a
-score whose checkout has changed files, because its commit would not say which code gave the answers.
+score whose checkout has changed files, because its commit would not say which code gave the answers. Afterwards run
+docs/make_validation_tables.py, which writes the tables of the documents.
 """
 
 from __future__ import annotations

@@ -14,9 +14,15 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
-    "script", ["make_config_reference.py", "make_system_reference.py", "make_settings.py"]
+    "script",
+    [
+        "make_config_reference.py",
+        "make_system_reference.py",
+        "make_settings.py",
+        "make_validation_tables.py",
+    ],
 )
-def test_what_is_made_of_a_schema_is_current(script):
+def test_what_a_script_makes_is_current(script):
     done = subprocess.run([sys.executable, ROOT / "docs" / script, "--check"], check=False)
     assert done.returncode == 0, f"run: python docs/{script}"
 

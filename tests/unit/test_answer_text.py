@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from real2sim.api import Diagnosis
 from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.answer_text import answer_text, lines_of
+from real2sim.recording.formats.recordings import Finding
 
 CONTENT = {
     "verdict": "coulomb",
@@ -47,38 +48,42 @@ CONTENT = {
 
 
 def test_an_answer_says_cause_numbers_doubt_and_next_trial():
-    lines = answer_text("exo", CONTENT).split("\n")
-    assert lines[:7] == [
+    lines = answer_text("exo", CONTENT, ("slow", "fast")).split("\n")
+    assert lines[:10] == [
         "exo: coulomb and preload, probability 0.950",
-        "Left of the held-out recording, in units of noise (1: noise alone): 10 by the plain model, 1.02 with what "
-        "was found",
+        "Otherwise: unknown 0.050",
+        "Left of each recording, in units of noise (1: noise alone):",
+        "  slow, fitted    1.8 by the plain model  0.96 with what was found",
+        "  fast, held out  10 by the plain model   1.02 with what was found",
         "coulomb along tx and tz: probability 0.600, closes 98 % of the gap, with preload",
         "  level_tx_N  12.35 N  11 to 13",
         "preload: probability 0.350",
         "  force_tx_N  -3 N",
         "Its form may not be right: it leaves up to 12 standard deviations of noise.",
     ]
-    assert lines[7:10] == [
+    assert lines[10:13] == [
         "Parameters of the model:",
         "  k_tx  800 N/m    790 to 810  determined",
         "  d_ry  2 Nms/rad              not determined",
     ]
-    assert lines[10].startswith("To be recorded next: move forward")
-    assert max(map(len, lines[10:])) <= 100
+    assert lines[13].startswith("To be recorded next: move forward")
+    assert max(map(len, lines[13:])) <= 100
     assert "slack" not in "\n".join(lines)
 
 
-def test_the_misfit_is_that_of_the_recording_that_shows_the_gap():
-    gap = CONTENT["gap"] | {"chi2_plain": [5000.0, 500.0], "chi2_best": [510.0, 500.0]}
-    line = answer_text("exo", CONTENT | {"gap": gap}, shown_by_fitted=True).split("\n")[1]
-    assert line.startswith("Left of the fitted recording, which alone shows the gap, in units of noise")
-    assert line.endswith("10 by the plain model, 1.02 with what was found")
-    found = SimpleNamespace(pair=SimpleNamespace(exchanged=True))
-    answer = SimpleNamespace(found=found, to_dict=lambda: CONTENT | {"gap": gap})
-    assert line in str(Diagnosis(SimpleNamespace(name="exo"), answer))
+def test_a_printed_answer_names_its_recordings_and_warns():
+    pair = SimpleNamespace(train=SimpleNamespace(name="fast"), held_out=SimpleNamespace(name="slow"))
+    answer = SimpleNamespace(found=SimpleNamespace(pair=pair), to_dict=lambda: CONTENT)
+    odd = [
+        Finding("step_coarse", kind, "slow", "k_x", "half the step", "Used.") for kind in ("warning", "info")
+    ]
+    lines = str(Diagnosis(SimpleNamespace(name="exo"), answer, tuple(odd))).split("\n")
+    assert lines[3].startswith("  fast, fitted")
+    assert lines[-1] == "Warning: slow, k_x: half the step. Used."
+    assert "Info" not in "".join(lines)
 
 
-def test_none_is_said_in_two_lines():
+def test_none_says_from_which_size_effects_would_have_been_seen():
     content = copy.deepcopy(CONTENT) | {
         "verdict": "none",
         "verdict_set": ["none"],
@@ -89,7 +94,15 @@ def test_none_is_said_in_two_lines():
     content["probabilities"]["none"] = 0.99
     lines = answer_text("exo", content).split("\n")
     assert lines[0] == "exo: none, probability 0.990"
-    assert len(lines) == 2
+    assert len(lines) == 5
+    entry = {"effect": "coulomb", "axes": ["x"], "parameter": "level", "from": 0.123, "unit": "N"}
+    content["could_show"] = [entry, entry | {"effect": "tilt", "axes": [], "from": None}]
+    lines = answer_text("exo", content).split("\n")
+    assert lines[5:] == [
+        "Would have been seen from:",
+        "  coulomb x  level  0.12 N",
+        "Does not show at any size that is searched: tilt",
+    ]
 
 
 def test_a_set_has_the_probability_of_its_own_rows_and_not_of_its_names():

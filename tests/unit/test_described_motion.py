@@ -11,11 +11,13 @@ import pandas as pd
 import pytest
 import yaml
 from real2sim import Recording, System
+from real2sim.api import _free_joints
 from real2sim.configuration import validated
 from real2sim.diagnosis.described_trial import DescribedTrial
 from real2sim.effects.base import Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.system_replay import SystemReplay
+from real2sim.errors import InputError
 from real2sim.system.description import shipped
 
 DESCRIBED = validated({}, "config", Path("defaults"))["diagnosis"]["described"]
@@ -137,3 +139,16 @@ def _standing(system: System, seed: int) -> Recording:
     for joint in system.machine:
         table[f"{joint.name}_{system.joint_units[joint.name]}"] = 1e-5 * rng.standard_normal(len(TIME))
     return Recording.from_table(system, pd.DataFrame(table))
+
+
+def test_a_joint_that_nothing_holds_is_told_and_a_force_on_one_without_a_path_is_refused(tmp_path):
+    system = slide(tmp_path)
+    assert not list(_free_joints(system))
+    text = (tmp_path / "slide.xml").read_text()
+    (tmp_path / "slide.xml").write_text(
+        text.replace("<inertial", '<joint name="wheel" axis="0 0 1"/><inertial')
+    )
+    (finding,) = _free_joints(system)
+    assert (finding.code, finding.place) == ("model_joints", "joint wheel")
+    with pytest.raises(InputError, match=r"(?s)system\.yaml.*outputs\.seen.*follows no path"):
+        slide(tmp_path, quantity="force")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from real2sim.diagnosis.decide import (
     NONE,
     UNKNOWN,
     Candidate,
+    Decision,
     averaged,
     decide,
     further_price,
@@ -17,6 +19,7 @@ from real2sim.diagnosis.decide import (
     shares_of,
     unexplained,
 )
+from real2sim.effects.catalogue import EFFECT_NAMES
 
 from tests.unit.test_coupling import CONFIG
 
@@ -168,7 +171,7 @@ def test_what_the_answer_would_be_for_the_other_hold_shares_by_what_it_leaves():
     assert mixed.probabilities["tilt"] == pytest.approx(other * let_go.probabilities["tilt"], abs=1e-3)
     assert 0.1 < other < 0.5
     assert sum(mixed.probabilities.values()) == pytest.approx(1)
-    assert next_trial(mixed, CERTAIN) is not None
+    assert next_trial(mixed, CERTAIN, LEAST) is not None
     far = averaged(at_rest, let_go, share_of_other((5_548.0, 19_608.0), 0.0, CALIBRATION), LEAST)
     assert far.probabilities[NONE] == pytest.approx(at_rest.probabilities[NONE])
     assert far.group == (NONE,)
@@ -201,7 +204,15 @@ def test_what_the_data_leave_in_the_running_is_the_ambiguity_group():
     sets = [Candidate((name,), (1010.0, chi2)) for name, chi2 in (("lugre", 1020.0), ("coulomb", 1030.0))]
     decision = decide(plain, sets, (1000, 1000), CALIBRATION)
     assert decision.group == ("lugre", "coulomb")
-    assert next_trial(decision, CERTAIN) is not None
+    assert next_trial(decision, CERTAIN, LEAST) is not None
+
+
+def test_the_next_trial_of_an_unknown_cause_without_a_lead_is_no_unlikely_effects_own():
+    names = dict.fromkeys(EFFECT_NAMES, 0.0)
+    for likely, own in ((0.001, False), (0.2, True)):
+        probabilities = names | {"outliers": likely, NONE: 0.0, UNKNOWN: 1 - likely}
+        told = next_trial(Decision(probabilities, np.zeros(0), UNKNOWN, (UNKNOWN,), None), CERTAIN, LEAST)
+        assert ("labelled" in told) is own
 
 
 def test_two_causes_that_are_sure_together_need_no_further_trial():
@@ -215,7 +226,7 @@ def test_two_causes_that_are_sure_together_need_no_further_trial():
     assert decision.chosen == 0
     assert max(decision.probabilities.values()) < 0.9
     assert decision.group == (decision.verdict,)
-    assert next_trial(decision, CERTAIN) is None
+    assert next_trial(decision, CERTAIN, LEAST) is None
 
 
 def test_a_set_shares_its_probability_by_what_each_effect_earns():

@@ -894,7 +894,8 @@ def test_without_an_effect_to_try_the_answer_is_none_or_unknown(monkeypatch, pla
     assert (found.hypotheses, found.screened) == ([], [])
     decision = decide(Candidate((), found.plain.chi2), [], found.samples, options["calibration"])
     assert (decision.verdict, decision.chosen) == (verdict, None)
-    wanted = next_trial(decision, options["report"]["next_trial_certain"])
+    likely = options["calibration"]["ambiguity_probability"]
+    wanted = next_trial(decision, options["report"]["next_trial_certain"], likely)
     assert (wanted is None) == (verdict == NONE)
     assert _baselines(found) == {}
 

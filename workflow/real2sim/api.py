@@ -9,8 +9,9 @@ answer = diagnose(system, train=slow, held_out=fast, quiet=still)
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -38,7 +39,7 @@ from real2sim.errors import InputError
 from real2sim.recording.channels import channel_findings, drive_scales, units_in_doubt
 from real2sim.recording.formats.recordings import Finding
 from real2sim.recording.table import Recording, check_columns
-from real2sim.system.described_plant import own_actuators
+from real2sim.system.described_plant import load_model, own_actuators
 from real2sim.system.description import System
 
 if TYPE_CHECKING:
@@ -155,8 +156,16 @@ class Diagnosis:
         """Return the answer as plain text: verdict, what is left, causes with numbers, what to record next."""
         from real2sim.pages.answer_text import answer_text
 
-        fitted = self.answer.found.pair.exchanged
-        return answer_text(self.system.name, self.answer.to_dict(), shown_by_fitted=fitted)
+        return answer_text(self.system.name, self._content(), self._recordings)
+
+    @property
+    def _recordings(self) -> tuple[str, str]:
+        """Names of the recording that effects were fitted to, and of the held-out one."""
+        pair = self.answer.found.pair
+        return pair.train.name, pair.held_out.name
+
+    def _content(self) -> dict[str, Any]:
+        return self.answer.to_dict() | {"findings": [asdict(f) for f in self.findings]}
 
     def table(self) -> pd.DataFrame:
         """Return one row per cause with some probability: effect, axes, probability, share of the gap closed.
@@ -180,8 +189,9 @@ class Diagnosis:
 
     def save(self, path: Path | str) -> None:
         """Write diagnosis.json."""
-        content = {"schema": 1, "subject": self.system.name} | self.answer.to_dict()
-        write_json(Path(path), content | {"findings": [asdict(f) for f in self.findings]})
+        about = {"schema": 1, "subject": self.system.name}
+        about |= dict(zip(("train", "held_out"), self._recordings, strict=True))
+        write_json(Path(path), about | self._content())
 
     def plot(self, path: Path | str | None = None) -> Any:
         """Draw observations measured, plain and with the effect; return the figure, written where ``path`` is given."""
@@ -267,7 +277,7 @@ def identify(
     search = options["diagnosis"]["search"]
     odd = [
         *(f for r in (recording, quiet) if r is not None for f in r.findings),
-        *_own_actuators(system),
+        *_odd_models([system]),
         *_odd_channels(system, {recording.name: recording}, options),
     ]
     described, (pair, z) = system, _whitened(system, recording, quiet, options, threads)
@@ -341,42 +351,45 @@ def diagnose(
         the name ``configured``, or ``settings`` has other slices.
     """
     options, given = _settings(settings), (train, held_out, *further)
-    recordings = {r.name: r for r in given}
-    if len(recordings) < len(given):
-        names = [r.name for r in given]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(
-            twice, "", "the same name for two recordings", "a name for each", "Rename one of them."
-        )
+    recordings = _by_name(given)
     tell = progress or (lambda text: print(f"{system.name}: {text}", file=sys.stderr, flush=True))
     systems = beside_configured(system, others or {}, "others")
     findings = [f for r in (*given, quiet) if r is not None for f in r.findings]
-    findings += [f for each in systems.values() for f in _own_actuators(each)]
-    findings += _odd_channels(system, recordings, options)
+    findings += [*_odd_models(systems.values()), *_odd_channels(system, recordings, options)]
     _tell_findings(findings, tell)
-    more = tuple(r.name for r in further)
-    trials = {
-        name: _finely(
-            each,
-            lambda s: _trials(
-                s, recordings, quiet, options, tell, (train.name, held_out.name), more, threads
-            ),
-        )
-        for name, each in systems.items()
-    }
-    outcome, machines = search_with(trials)
+    trials_of = partial(
+        _trials,
+        recordings=recordings,
+        quiet=quiet,
+        options=options,
+        tell=tell,
+        pair=(train.name, held_out.name),
+        further=tuple(r.name for r in further),
+        threads=threads,
+    )
+    outcome, machines = search_with({name: _finely(each, trials_of) for name, each in systems.items()})
     if machines:
         system = systems[machines[0].name]
-    plain = dict(
-        zip(system.parameter_names, system.values(outcome.found.attribution.plain.base), strict=True)
-    )
-    channels, found = options["diagnosis"]["described"]["channels"], outcome.found
-    doubts = list(units_in_doubt(system, plain, train.name, channels["bound_share"]))
-    doubts += step_findings(found.pair, found.attribution.plain.base, system, options["diagnosis"])
+    found, channels = outcome.found, options["diagnosis"]["described"]["channels"]
+    plain = found.attribution.plain.base
+    values = dict(zip(system.parameter_names, system.values(plain), strict=True))
+    doubts = list(units_in_doubt(system, values, train.name, channels["bound_share"]))
+    doubts += step_findings(found.pair, plain, system, options["diagnosis"])
     _tell_findings(doubts, tell)
     return Diagnosis(
         found.pair.system, answer(outcome, options, tell, machines=machines), (*findings, *doubts)
     )
+
+
+def _by_name(given: Sequence[Recording]) -> dict[str, Recording]:
+    """Return recordings by name; refuses a name that two of them have."""
+    names = [r.name for r in given]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                name, "", "the same name for two recordings", "a name for each", "Rename one of them."
+            )
+    return dict(zip(names, given, strict=True))
 
 
 def _finely(system: System, trials_of: Callable[[System], Trials]) -> Trials:
@@ -417,12 +430,35 @@ def _tell_findings(findings: Sequence[Finding], tell: Callable[[str], None]) -> 
         tell(f"{finding.severity}: {finding.file}, {finding.place}: {finding.message}. {finding.action}")
 
 
+def _odd_models(systems: Iterable[System]) -> Iterator[Finding]:
+    """Yield what is odd about the models of systems."""
+    for system in systems:
+        yield from _own_actuators(system)
+        yield from _free_joints(system)
+
+
 def _own_actuators(system: System) -> Iterator[Finding]:
     """Yield that the model of a system has actuators of its own, where it has."""
     if own := own_actuators(system):
         message, action = "the model has actuators of its own", "Left out: the recording drives the joints."
         yield Finding(
             "model_actuators", "info", system.model.name, f"actuator {', '.join(own)}", message, action
+        )
+
+
+def _free_joints(system: System) -> Iterator[Finding]:
+    """Yield that joints of the model move freely, without a word in the description, where some do."""
+    named = {*system.machine_joints, *system.axis_joints, *system.drive.columns}
+    if free := [
+        j.name or f"number {i + 1}" for i, j in enumerate(load_model(system).joints) if j.name not in named
+    ]:
+        yield Finding(
+            "model_joints",
+            "warning",
+            system.model.name,
+            f"joint {', '.join(free)}",
+            "neither driven, nor of the machine or the interface: it moves freely",
+            "Used as it is. Name it under drive.of or machine, or leave it out of the model.",
         )
 
 

@@ -423,7 +423,11 @@ class _Account:
             self._parameters(named),
             _considered(attribution, decision, self._pair.exchanged),
             baselines,
-            next_trial(decision, self._report["next_trial_certain"]),
+            next_trial(
+                decision,
+                self._report["next_trial_certain"],
+                self._settings["diagnosis"]["calibration"]["ambiguity_probability"],
+            ),
             otherwise,
             Fits(
                 self._found,

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 NONE, UNKNOWN = "none", "unknown"
 
+# What to record where no effect of the catalogue is likely
+_NO_LEAD = "the same motion twice, then at half the speed: what repeats is a law of place or of speed, which that tells"
+
 # Effects that no inexact law of another effect looks like: single samples that jump
 ISOLATED = ("outliers",)
 
@@ -474,16 +477,18 @@ def _group(
     return (verdict, *sorted(rest, key=lambda n: -probabilities[n]))
 
 
-def next_trial(decision: Decision, certain: float) -> str | None:
+def next_trial(decision: Decision, certain: float, likely: float) -> str | None:
     """Return the trial that would separate the likeliest effects, in one phrase.
 
     None where a cause or a set of effects has the probability ``certain`` or more: nothing is left to separate. There
-    always is one where the cause is unknown.
+    always is one where the cause is unknown; where no effect is as ``likely``, one that tells what a law depends on.
     """
     top = sorted(decision.probabilities.items(), key=lambda item: -item[1])
     # the probability of a set of effects is shared out between them
     if decision.verdict != UNKNOWN and max([top[0][1], *decision.sets]) >= certain:
         return None
+    if decision.verdict == UNKNOWN and max(decision.probabilities[e.name] for e in EFFECTS) < likely:
+        return _NO_LEAD
     for name, _ in top:
         for effect in EFFECTS:
             if effect.name == name:

@@ -33,12 +33,14 @@ def parameter_lines(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return lines_of(rows)
 
 
-def answer_text(name: str, content: Mapping[str, Any], *, shown_by_fitted: bool = False) -> str:
+def answer_text(
+    name: str, content: Mapping[str, Any], recordings: tuple[str, str] = ("recording", "recording")
+) -> str:
     """Return what a diagnosis of the system or person ``name`` says; ``content`` is that of diagnosis.json.
 
-    ``shown_by_fitted``: the gap is that of the fitted recording, which alone shows it.
+    ``recordings`` are the names of the one that effects were fitted to and of the one that was held out.
     """
-    lines = [f"{name}: {_verdict(content)}", _gap_line(content["gap"], shown_by_fitted)]
+    lines = [f"{name}: {_verdict(content)}", *_otherwise(content), *_left_lines(content["gap"], recordings)]
     for cause in content["causes"]:
         if cause["probability"] >= _LEAST:
             lines += _cause_lines(cause)
@@ -49,8 +51,14 @@ def answer_text(name: str, content: Mapping[str, Any], *, shown_by_fitted: bool 
         lines.append(_wrapped(law_sentence(content["free_form"])))
     if content["parameters"]:
         lines += ["Parameters of the model:", *parameter_lines(content["parameters"])]
+    lines += _limit_lines(content.get("could_show") or ())
     if content["next_trial"]:
         lines.append(_wrapped(f"To be recorded next: {content['next_trial']}"))
+    lines += [
+        _wrapped(f"{f['severity'].capitalize()}: {f['file']}, {f['place']}: {f['message']}. {f['action']}")
+        for f in content.get("findings") or ()
+        if f["severity"] != "info"
+    ]
     return "\n".join(lines)
 
 
@@ -65,16 +73,40 @@ def _wrapped(text: str) -> str:
     return fill(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
-def _gap_line(gap: Mapping[str, Any], shown_by_fitted: bool) -> str:
-    """Return what is left of the recording that shows the gap, in units of what noise leaves of it."""
-    i, words = (
-        (0, "fitted recording, which alone shows the gap") if shown_by_fitted else (1, "held-out recording")
-    )
-    plain, best = (gap[key][i] / gap["chi2_expected"][i] for key in ("chi2_plain", "chi2_best"))
-    return (
-        f"Left of the {words}, in units of noise (1: noise alone): {plain:.3g} by the plain model, "
-        f"{best:.3g} with what was found"
-    )
+def _otherwise(content: Mapping[str, Any]) -> list[str]:
+    """Return the line of what the answer may be instead, beside the causes: nothing, or something unlisted."""
+    rest = {n: content["probabilities"].get(n, 0.0) for n in ("none", "unknown") if n != content["verdict"]}
+    said = [f"{name} {p:.3f}" for name, p in rest.items() if p >= _LEAST]
+    return [f"Otherwise: {', '.join(said)}"] if said else []
+
+
+def _left_lines(gap: Mapping[str, Any], recordings: tuple[str, str]) -> list[str]:
+    """Return what is left of both recordings, in units of what noise leaves of them."""
+    rows = []
+    for i, role in enumerate(("fitted", "held out")):
+        plain, best = (gap[key][i] / gap["chi2_expected"][i] for key in ("chi2_plain", "chi2_best"))
+        rows.append(
+            [
+                f"  {recordings[i]}, {role}",
+                f"{plain:.3g} by the plain model",
+                f"{best:.3g} with what was found",
+            ]
+        )
+    return ["Left of each recording, in units of noise (1: noise alone):", *lines_of(rows)]
+
+
+def _limit_lines(could_show: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return from which size on effects would have been seen, where none was."""
+    rows = [
+        [f"  {e['effect']} {' '.join(e['axes'])}".rstrip(), e["parameter"], f"{e['from']:.2g} {e['unit']}"]
+        for e in could_show
+        if e["from"] is not None
+    ]
+    hidden = [f"{e['effect']} {' '.join(e['axes'])}".rstrip() for e in could_show if e["from"] is None]
+    lines = ["Would have been seen from:", *lines_of(rows)] if rows else []
+    if hidden:
+        lines.append(_wrapped(f"Does not show at any size that is searched: {', '.join(hidden)}"))
+    return lines
 
 
 def _cause_lines(cause: Mapping[str, Any]) -> list[str]:

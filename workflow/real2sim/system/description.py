@@ -199,7 +199,22 @@ class System:
             float(c["step_s"]),
         )
         system._check(source)
+        system._check_outputs(source)
         return system
+
+    def _check_outputs(self, source: Path) -> None:
+        """Refuse the force on a joint that follows no path: only that of a prescribed motion is simulated."""
+        driven = tuple(self.drive.columns) if self.drive.by == PATH else ()
+        for output in self.outputs:
+            if output.quantity == "force" and output.joint not in driven:
+                raise InputError(
+                    source,
+                    f"outputs.{output.column}",
+                    f"the force on joint {output.joint}, which follows no path",
+                    f"a joint of drive.of that is driven by path ({', '.join(driven) or 'none is'})",
+                    "Drive it by path, or measure its position.",
+                    "value",
+                )
 
     def _check(self, source: Path) -> None:
         """Refuse what contradicts itself."""

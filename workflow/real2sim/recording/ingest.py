@@ -453,8 +453,10 @@ def _fit_markerless(
     synchronised = correlation >= settings["min_correlation"]
     if not synchronised:
         offset = float(clock[0] - other.time_s[0])
+        standing = trial.name == "neutral"
         message = f"correlation of pelvis speeds {correlation:.2f}: too little in common to synchronise by"
-        severity = "info" if trial.name == "neutral" else "warning"
+        message += ", as in any quiet standing" if standing else ""
+        severity = "info" if standing else "warning"
         trial.note(
             "markerless_not_synchronised", severity, trial.mot, "", message, "starts laid on each other"
         )

@@ -21,7 +21,7 @@ from real2sim.recording.subjects import parse_trial
 if TYPE_CHECKING:
     from real2sim.settings import IngestSettings, QualityRateSettings, QualitySettings
 
-_COARSE_HZ = 50.0  # grid on which rates are compared
+_GRID_HZ = 200.0  # grid on which rates are compared: on a coarser one, which lag fits decides as much as which rate
 _PAIR_HZ = 10.0  # samples of both systems' pelvis that are kept for the frames
 _EXPLAINED_M = 0.01  # residual of the robot's clock from which another start is tried
 _STRIDES_S = (-1.0, 1.0, -2.0, 2.0)  # a fit finds its way from half a stride
@@ -507,17 +507,17 @@ def _rate_by_motion(
         return  # nothing moves
     if out.robot is not None and trial.log is not None:
         ours = signals.derivative(_closed(_line_angles(clean)), declared)
-        grid, angles = _log_angles(trial.log, _COARSE_HZ)
-        theirs = signals.derivative(angles, _COARSE_HZ)
+        grid, angles = _log_angles(trial.log, _GRID_HZ)
+        theirs = signals.derivative(angles, _GRID_HZ)
     elif out.markerless is not None and trial.coordinates is not None and pelvis is not None:
         bridged = _bridged(pelvis)
         ours = _speeds(bridged.rotation, bridged.position, declared)
         r, p = alignment.pelvis_of_coordinates(trial.coordinates.columns)
         own = trial.coordinates.time_s
-        grid = np.arange(own[0], own[-1], 1 / _COARSE_HZ)
+        grid = np.arange(own[0], own[-1], 1 / _GRID_HZ)
         flat = np.hstack([r.reshape(-1, 9), p])
         table = np.column_stack([np.interp(grid, own, column) for column in flat.T])
-        theirs = _speeds(table[:, :9].reshape(-1, 3, 3), table[:, 9:], _COARSE_HZ)
+        theirs = _speeds(table[:, :9].reshape(-1, 3, 3), table[:, 9:], _GRID_HZ)
     else:
         return
     good = signals.known(ours)
@@ -527,7 +527,7 @@ def _rate_by_motion(
 
     def agreement(rate: float) -> float:
         duration = (len(ours) - 1) / rate
-        t = np.arange(0, duration, 1 / _COARSE_HZ)
+        t = np.arange(0, duration, 1 / _GRID_HZ)
         if len(t) < 50:
             return -1.0
         own = np.arange(len(ours)) / rate

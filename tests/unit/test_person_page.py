@@ -11,7 +11,7 @@ import pytest
 from real2sim.artefacts import write_json
 from real2sim.inference.parameters import PARAMETERS, unit
 from real2sim.pages.person import person_page
-from test_pages import _diagnosis, _Page
+from test_pages import _diagnosis, _law, _Page
 from test_report import WIDTHS
 
 from tests.browser import AXE, browser, chromium, judged_by_axe
@@ -114,7 +114,9 @@ def _nothing(**changes) -> dict:
     return _refined(status=status, **none) | changes
 
 
-def _page_of(folder: Path, refined: dict, *, whole: bool = True) -> tuple[Path, _Page, str]:
+def _page_of(
+    folder: Path, refined: dict, *, whole: bool = True, diagnosis: dict | None = None
+) -> tuple[Path, _Page, str]:
     folder.mkdir(exist_ok=True)
     (folder / "subject.yaml").write_text(SUBJECT)
     (folder / "interface.xml").write_text("<mujoco/>\n")
@@ -136,8 +138,10 @@ def _page_of(folder: Path, refined: dict, *, whole: bool = True) -> tuple[Path, 
                 "q_max": [0.1] * 6,
             },
             "step": {"timestep_s": 0.01, "status": "ok"},
-            "diagnosis": _diagnosis(subject="S07"),
+            "diagnosis": diagnosis or _diagnosis(subject="S07"),
         }
+        some["model"] = folder / "model.xml"
+        some["model"].write_text("<mujoco model='with cause'/>\n")
         for name, content in about.items():
             some[name] = folder / f"{name}.json"
             write_json(some[name], content)
@@ -225,9 +229,46 @@ def test_the_model_can_be_taken_away(whole):
     path, _, content = whole
     links = dict(re.findall(r'download="([^"]+)" href="data:[^;]+;base64,([^"]+)"', content))
     files = {"interface.xml": "interface.xml", "interface.json": "interface.json", "refined.json": "S07.json"}
+    files["model.xml"] = "model.xml"
     assert {name: base64.b64decode(data) for name, data in links.items()} == {
         f"S07_{name}": (path.parent / file).read_bytes() for name, file in files.items()
     }
+
+
+def test_values_of_an_incomplete_model_stand_beside_those_with_the_cause(whole):
+    _, page, content = whole
+    assert page.text.count("of the plain model, which the diagnosis finds incomplete: it lacks slack") == 2
+    assert page.text.count("results/diagnosis/S07/model.xml") == 2, "above the table and above the files"
+    head = re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", content[content.index('id="parameters"') :])[:12]
+    rows = {cells[0]: dict(zip(head, cells, strict=True)) for cells in _rows(content, "parameters")}
+    assert rows["k_tx"]["With slack"] == "8000 <span class='small'>[7120, 8000]</span>"
+    # the refined values carry no check mark
+    assert rows["k_ty"]["Verdict (plain model)"] == "determined"
+
+
+def _values(text: str) -> str:
+    return text[text.index("Parameters") : text.index("Cost J and noise")]
+
+
+def test_without_a_cause_the_refined_values_stand_for_themselves(tmp_path):
+    _, page, content = _page_of(tmp_path, _refined(), diagnosis=_diagnosis("none", subject="S07"))
+    assert "\N{CHECK MARK} determined" in _values(page.text)
+    assert "incomplete" not in page.text
+    assert "S07_model.xml" not in content
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_an_unknown_cause_leaves_the_plain_model_incomplete_too(tmp_path, measured):
+    law = _law() | {"model": {"parameters": {"k_tx": {"value": 731.0, "unit": "N/m"}}}}
+    diagnosis = _diagnosis("unknown", subject="S07", free_form=law if measured else None)
+    _, page, content = _page_of(tmp_path, _refined(), diagnosis=diagnosis)
+    said = _values(page.text)
+    assert "which the diagnosis finds incomplete: the cause is unknown (probability 92 %)" in said
+    assert ("With measured law" in said) is measured
+    assert ("731" in said) is measured
+    assert ("S07_model.xml" in content) is measured
+    assert ("There is no model with the cause." in said) is not measured
+    assert "\N{CHECK MARK}" not in said
 
 
 def test_a_person_without_dynamic_trials_has_a_page_that_says_so(tmp_path):

@@ -395,6 +395,11 @@ def where_diagnosed(wildcards):
     return f"results/diagnosis/{wildcards.subject}/diagnosis.json" if wildcards.subject in DIAGNOSED else []
 
 
+def model_where_diagnosed(wildcards):
+    """model.xml of a person with two dynamic trials, else nothing."""
+    return f"results/diagnosis/{wildcards.subject}/model.xml" if wildcards.subject in DIAGNOSED else []
+
+
 def explained_poses(subject):
     """pose.parquet of a person's two diagnosed trials."""
     return poses_of(subject, "dynamic")[:2]

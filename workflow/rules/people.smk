@@ -5,6 +5,7 @@ Outputs: results/refined/<SUBJECT>.json; results/people/<SUBJECT>/interface.{xml
          results/people/<SUBJECT>.html.
 Steps:   refine what the priors leave open on the person's dynamic trials, everything else stays at the point prior;
          robot, strap and pelvis as one MJCF; diagnosis where two dynamic trials were recorded; page.
+         The page holds the diagnosed model too.
          A person without dynamic trials gets the point prior, and the page says so.
 """
 
@@ -134,6 +135,7 @@ rule person_page:
         limits=lambda wildcards: where_limits_are_known(wildcards, "limits"),
         step=lambda wildcards: where_refined(wildcards, "plant"),
         diagnosis=where_diagnosed,
+        model=model_where_diagnosed,
     output:
         "results/people/{subject}.html",
     log:
@@ -152,6 +154,7 @@ rule person_page:
             limits=input.limits,
             step=input.step,
             diagnosis=input.diagnosis,
+            model=input.model,
         ),
         content=lambda wildcards: subject_content(wildcards.subject),
         code=code("person-page"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -15,13 +15,17 @@ import numpy as np
 from real2sim.artefacts import read_json
 from real2sim.configuration import read_yaml
 from real2sim.files import write_text
+from real2sim.inference.identifiability import DETERMINED
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages import style
-from real2sim.pages.diagnosis import digest
+from real2sim.pages.answer_text import answer_probability, other_robot
+from real2sim.pages.diagnosis import digest, shows_gap
 from real2sim.pages.page import (
     document,
     download,
     folded,
+    likely,
+    listed,
     page_style,
     paragraph,
     percent,
@@ -80,6 +84,7 @@ def person_page(
     limits: Path | None = None,
     step: Path | None = None,
     diagnosis: Path | None = None,
+    model: Path | None = None,
 ) -> None:
     """Write the page of one person: who, recordings, limits, parameters, J, diagnosis, files, provenance.
 
@@ -89,8 +94,9 @@ def person_page(
         subject.yaml.
     gates, refined, interface, notes
         gates.json, results/refined/<SUBJECT>.json, and MJCF and JSON of the interface.
-    breakpoints, limits, step, diagnosis
-        Of the person, where sweeps, limits, step study and two dynamic trials are there.
+    breakpoints, limits, step, diagnosis, model
+        Of the person, where sweeps, limits, step study and two dynamic trials are there; ``model`` is model.xml of the
+        diagnosis.
     """
     study = Person(
         about=read_yaml(person),
@@ -107,6 +113,8 @@ def person_page(
         step=read_json(step, ("timestep_s", "status")) if step else None,
         diagnosis=read_json(diagnosis, ("subject", "verdict")) if diagnosis else None,
     )
+    if model and _cause_model(study.diagnosis):
+        study.files["model.xml"] = (model, "application/xml")
     body = [
         *_notices(study),
         paragraph(_lead(study), "lead"),
@@ -263,46 +271,129 @@ def _tightness(study: Person) -> str:
 
 
 def _parameters(study: Person) -> str:
-    refined = study.refined
+    refined, beside = study.refined, _beside_cause(study.diagnosis)
     trials = refined["trials"]
-    head = ["Parameter", "Unit", "Prior", "Searched", "Value", "From"]
+    incomplete = study.diagnosis is not None and shows_gap(study.diagnosis)
+    head = ["Parameter", "Unit"]
+    if beside:
+        head += [f"With {_cause(study.diagnosis)}", "Verdict"]
+    first = len(head)
+    head += ["Prior", "Searched", "Value", "From"]
     for trial in trials:
-        head += [_words(trial), "Verdict"]
+        head += [_words(trial), "Verdict (plain model)" if incomplete else "Verdict"]
     rows = []
     for name in PARAMETERS:
         row = refined["parameters"][name]
-        cells = [
-            escape(name),
-            escape(row["unit"]),
+        cells = [escape(name), escape(row["unit"])]
+        if beside:
+            cells += beside.get(name, [_DASH, _DASH])
+        cells += [
             rounded(row["prior"], 4),
             _interval(row["low"], row["high"]),
             rounded(row["value"], 4),
             escape(row["source"] + (f", {row['use']}" if row["source"] == "prior" else "")),
         ]
         for trial in trials.values():
-            cells += _judged(trial, name)
+            cells += _judged(trial, name, incomplete=incomplete)
         rows.append(cells)
     caption = (
         f"The {len(PARAMETERS)} parameters, relative as long as no force was measured. Value: of all trials together."
         " Trials: their own refinement with its 95 % interval, the fixed parameters taken for known. Rotation about y"
         " is informed only through the arm's pitch."
     )
-    numeric = (2, 3, 4, *range(6, len(head), 2))
+    numeric = [*range(2, first, 2), *range(first, first + 3), *range(first + 4, len(head), 2)]
+    if study.diagnosis and beside:
+        caption += (
+            f" With {_cause(study.diagnosis)}: fitted together with it on {' and '.join(study.diagnosis['train'])}"
+            f"{'' if study.diagnosis['verdict'] == 'unknown' else ', with the 95 % interval of that fit'}; all other"
+            " columns are of the plain model."
+        )
     return section(
         "parameters",
         "Parameters",
+        _of_plain_model(study),
         _figure(study) if refined["status"] == OK and refined["free"] else "",
         table(head, rows, caption=caption, numeric=numeric),
     )
 
 
-def _judged(trial: Mapping[str, Any], name: str) -> list[str]:
+def _judged(trial: Mapping[str, Any], name: str, *, incomplete: bool) -> list[str]:
+    """Return value and verdict by one trial; no check mark where the diagnosis finds the plain model incomplete."""
     found = trial["verdicts"].get(name)
     if found is None:
         return [_DASH, _DASH]
-    value = trial["refined"]["parameters"][name]
-    between = _interval(*found["ci95"])
-    return [f"{rounded(value)} <span class='small'>{between}</span>", verdict(found["verdict"])]
+    about = verdict(found["verdict"])
+    if incomplete and found["verdict"] == DETERMINED:
+        about = escape(DETERMINED)
+    return [_with_interval(trial["refined"]["parameters"][name], found["ci95"]), about]
+
+
+def _with_interval(value: float, ci95: Sequence[float | None]) -> str:
+    return f"{rounded(value)} <span class='small'>{_interval(*ci95)}</span>"
+
+
+# -------------------- the plain model and what it lacks
+
+
+def _cause(diagnosis: Mapping[str, Any] | None) -> str:
+    """Return what the diagnosis finds beside the plain model, in words; `shows_gap` is true of it."""
+    assert diagnosis is not None
+    robot = other_robot(diagnosis)
+    if diagnosis["verdict"] == "unknown":
+        return "measured law" if diagnosis.get("free_form") else "unknown cause"
+    names = [
+        _words(name) for name in diagnosis.get("verdict_set") or [diagnosis["verdict"]] if name != "none"
+    ]
+    return listed([*names, *([f"another robot, {robot}"] if robot else [])])
+
+
+def _cause_model(diagnosis: Mapping[str, Any] | None) -> bool:
+    """Return whether model.xml of a diagnosis was fitted together with a cause or with a measured law."""
+    if diagnosis is None or not shows_gap(diagnosis):
+        return False
+    if diagnosis["verdict"] == "unknown":
+        law = diagnosis.get("free_form")
+        return bool(law and law["model"])
+    return bool(diagnosis["verdict"] != "none")
+
+
+def _beside_cause(diagnosis: Mapping[str, Any] | None) -> dict[str, list[str]]:
+    """Return value and verdict of each parameter as fitted together with the cause, as cells; empty without one."""
+    if diagnosis is None or not _cause_model(diagnosis):
+        return {}
+    if diagnosis["verdict"] == "unknown":
+        fitted = diagnosis["free_form"]["model"]["parameters"]
+        return {name: [rounded(row["value"]), _DASH] for name, row in fitted.items()}
+    return {
+        name: [_with_interval(row["with_effect"], row["ci95"]), verdict(row["verdict"])]
+        for name, row in diagnosis["parameters"].items()
+    }
+
+
+def _of_plain_model(study: Person) -> str:
+    """Return the notice that the values are those of a model that the diagnosis finds incomplete; else nothing."""
+    d = study.diagnosis
+    if d is None or not shows_gap(d):
+        return ""
+    cause, sure = _cause(d), likely(answer_probability(d))
+    lacks = "the cause is unknown" if d["verdict"] == "unknown" else f"it lacks {cause}"
+    name = study.refined["subject"]
+    text = (
+        "Stiffness and damping by refinement (table of parameters, interface.xml, refined.json) are of the plain model,"
+        f" which the diagnosis finds incomplete: {lacks} (probability {sure}). They make up for what the model lacks,"
+        " so that their intervals, which count noise alone, need not hold the true values."
+    )
+    if "model.xml" in study.files:
+        text += (
+            f" results/diagnosis/{name}/model.xml (under Files: {name}_model.xml) holds the model that was fitted"
+            f" together with the diagnosed cause ({cause}); model.json beside it says which part of the cause cannot"
+            " be in a model file, and what to do about it."
+        )
+    elif d["verdict"] == "none":
+        text += " Configure that robot (robot) and refine again."
+    elif not _cause_model(d):
+        text += " There is no model with the cause."
+    return f'<p class="notice">{escape(text)}</p>'
 
 
 def _figure(study: Person) -> str:
@@ -531,7 +622,7 @@ def _files(study: Person) -> str:
         f" and rest pose; interface_replay.csv beside it drives it through {_words(notes['trial'])}. Loaded again and"
         f" replayed by plain MuJoCo, its markers are {same}."
     )
-    return section("files", "Files", paragraph(text), f"<ul>{links}</ul>")
+    return section("files", "Files", _of_plain_model(study), paragraph(text), f"<ul>{links}</ul>")
 
 
 def _provenance(study: Person) -> str:

@@ -55,7 +55,7 @@ def test_an_answer_says_cause_numbers_doubt_and_next_trial():
         "Left of each recording, in units of noise (1: noise alone):",
         "  slow, fitted    1.8 by the plain model  0.96 with what was found",
         "  fast, held out  10 by the plain model   1.02 with what was found",
-        "coulomb along tx and tz: probability 0.600, closes 98 % of the gap, with preload",
+        "coulomb along tx and tz: probability 0.600, takes away 98 % of J above noise, with preload",
         "  level_tx_N  12.35 N  11 to 13",
         "preload: probability 0.350",
         "  force_tx_N  -3 N",

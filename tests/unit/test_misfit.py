@@ -235,7 +235,7 @@ def test_the_page_says_what_is_left_and_of_what_kind():
         "own_history_in_each_trial": False,
     }
     text = misfit_sentence({"marked": True, "left_sd": [30.1, 71.2], "left_share": 0.01, "law": law})
-    assert "closes 99 % of the gap, and is not all" in text
+    assert "takes away 99 % of chi-squared above noise, and is not all" in text
     assert "71" in text
     assert "12 N (RMS) along ty that depends on q_ty (elastic)" in text
     told = {"marked": True, "left_sd": [30.1, 71.2], "sensor": "robot log", "left_share": 0.01, "law": law}

@@ -181,11 +181,14 @@ def test_page_tells_verdict_causes_values_and_what_next(tmp_path):
     text = _page(tmp_path, _diagnosis()).text
     assert "Slack causes the gap with a probability of 92 %" in text
     assert (
-        "with the effect in the model the misfit of the held-out trial dynamic_2 falls from 8 to 1.2 times"
+        "with the effect in the model the misfit (chi-squared) of the held-out trial dynamic_2 falls from 8 to 1.2"
         in text
     )
-    assert "so that 2.9 % of what stood above noise is left" in text
-    assert "J falls from 0.61 to 0.169 with it, which leaves 10 % [0, 20] of the gap" in text
+    assert "so that 2.9 % of chi-squared above noise is left" in text
+    assert (
+        "J falls from 0.61 to 0.169 with it, which leaves 10 % [0, 20] of J above what noise alone costs"
+        in text
+    )
     assert "soft tissue" in text
     assert "F < k & q" in text
     assert "8.1 mm" in text
@@ -198,7 +201,7 @@ def test_page_tells_verdict_causes_values_and_what_next(tmp_path):
     assert "Marker IF_R along world z" in text
     assert "noise (2 SD)" in text
     assert "all others together" in text
-    assert "2.9 % of what stood above noise is left" in text  # (1.2 - 1) / (8 - 1)
+    assert "2.9 % of chi-squared above noise is left" in text  # (1.2 - 1) / (8 - 1)
 
 
 def test_page_says_that_the_data_are_synthetic_only_where_they_are(tmp_path):
@@ -318,7 +321,9 @@ def test_page_says_that_the_trial_with_the_gap_is_the_one_that_was_fitted(tmp_pa
     assert "Only dynamic_2 leaves more than noise: effects were fitted on it" in text
     assert "On dynamic_2, J falls" in text
     # chi-squared of the trial that shows the gap, the first of the two
-    assert "with the effect in the model the misfit of dynamic_2 falls from 9 to 1.1 times" in text
+    assert (
+        "with the effect in the model the misfit (chi-squared) of dynamic_2 falls from 9 to 1.1 times" in text
+    )
     assert "leaves more than noise: effects" not in _page(tmp_path, _diagnosis()).text
 
 
@@ -335,7 +340,7 @@ def test_page_says_that_the_other_trial_was_fitted_where_nothing_explained_it(tm
 def test_page_of_an_unknown_cause_does_not_say_that_all_is_done(tmp_path):
     text = _page(tmp_path, _diagnosis("unknown")).text
     assert "The cause is unknown" in text
-    assert "the best of the catalogue closes 90 % of the gap" in text
+    assert "the best of the catalogue takes away 90 % of J above noise" in text
     assert "the catalogue has none for a cause that it does not hold" in text
     assert "needed to tell" not in text
 
@@ -344,7 +349,7 @@ def test_page_of_an_unknown_cause_shows_the_law_that_was_measured(tmp_path):
     text = _page(tmp_path, _diagnosis("unknown", free_form=_law())).text
     assert "a force along ty that depends on q_ty (elastic)" in text
     assert "J falls by 95 % (92 to 97)" in text
-    assert "The best set of names, slack, closes 60 %" in text
+    assert "The best set of names, slack, takes away 60 % of J above noise" in text
     assert "It is no proof of a cause" in text
     assert "q_ty^2" in text
     assert "goes beyond the range of what the measured law depends on" in text
@@ -359,7 +364,7 @@ def test_an_unknown_cause_is_told_by_its_law_wherever_answers_are_listed(tmp_pat
     assert "costs J = 0.61 and the model with the measured law 0.145 where noise alone costs 0.12" in text
     assert "The gap lies most likely in the interface law (the strap), along ty." in text
     assert (
-        "with the measured law in the model the misfit of the held-out trial dynamic_2 falls from 8 to 1.2"
+        "the measured law in the model the misfit (chi-squared) of the held-out trial dynamic_2 falls from 8 to 1.2"
         in text
     )
     table = tmp_path / "diagnosis.csv"

@@ -113,6 +113,6 @@ def _cause_lines(cause: Mapping[str, Any]) -> list[str]:
     where = f" along {' and '.join(cause['axes'])}" if cause["axes"] else ""
     beside = f", with {' and '.join(cause['with'])}" if cause["with"] else ""
     share = cause.get("gap_closed")
-    closes = "" if share is None else f", closes {percent(share)} of the gap"
+    closes = "" if share is None else f", takes away {percent(share)} of J above noise"
     head = f"{cause['effect']}{where}: probability {cause['probability']:.3f}{closes}{beside}"
     return [head, *parameter_lines(cause["parameters"])]

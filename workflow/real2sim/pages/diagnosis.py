@@ -244,10 +244,10 @@ def digest(d: Mapping[str, Any]) -> str:
         if p > 5e-4
     ]
     causes = table(
-        ["Cause", "Probability", "Gap closed"],
+        ["Cause", "Probability", "J closed"],
         rows,
-        caption=f"Likeliest causes for {d['subject']}; gap closed: share of J above noise on {_trials(_shown(d))}, a "
-        "dash where J is no more than noise alone costs",
+        caption=f"Likeliest causes for {d['subject']}; J closed: share of J above noise that goes with it on "
+        f"{_trials(_shown(d))}, a dash where J is no more than noise alone costs",
         numeric=(2,),
     )
     told = [] if law is None else [paragraph(law_sentence(law))]
@@ -328,7 +328,7 @@ def _lead(d: Mapping[str, Any]) -> list[str]:
         )
         parts.append(paragraph(what))
     if chi2_per_residual(d) is not None:
-        summary = "The same as cost J, which the study minimises"
+        summary = "The same in cost J, which the study minimises: another measure with other shares"
         parts.append(
             f"<details><summary>{summary}</summary>\n{paragraph(_sentence(_as_cost(d)) + '.')}\n</details>"
         )
@@ -457,15 +457,17 @@ def _beyond_noise(d: Mapping[str, Any]) -> str:
         return ""
     plain, best = (rounded(value, 2) for value in both)
     if not is_explained(d):
-        return f"the misfit of {_shown_words(d)} is {plain} times what noise leaves"
-    change = f"the misfit of {_shown_words(d)} {{}} from {plain} to {best} times what noise leaves"
+        return f"the misfit (chi-squared) of {_shown_words(d)} is {plain} times what noise leaves"
+    change = (
+        f"the misfit (chi-squared) of {_shown_words(d)} {{}} from {plain} to {best} times what noise leaves"
+    )
     if both[1] >= both[0]:
         return f"with the {_remedy(d)} in the model {change.format('goes')}: it does not help"
     text = f"with the {_remedy(d)} in the model {change.format('falls')}"
     closed = chi2_closed(d)
     if closed is None or closed >= 1:
-        return f"{text}, so that nothing is left above noise"
-    return f"{text}, so that {percent(1 - closed, 1)} of what stood above noise is left"
+        return f"{text}, so that no chi-squared is left above noise"
+    return f"{text}, so that {percent(1 - closed, 1)} of chi-squared above noise is left"
 
 
 def _as_cost(d: Mapping[str, Any]) -> str:
@@ -477,7 +479,11 @@ def _as_cost(d: Mapping[str, Any]) -> str:
         text = f"the plain model costs J = {base}, and noise alone {floor} {interval}"
     elif d["verdict"] == "unknown":
         best = max((c["gap_closed"] for c in d["causes"] if c.get("gap_closed") is not None), default=None)
-        tried = "" if best is None else f", and the best of the catalogue closes {percent(best)} of the gap"
+        tried = (
+            ""
+            if best is None
+            else f", and the best of the catalogue takes away {percent(best)} of J above noise"
+        )
         with_law = "" if _law(d) is None else f" and the model with the measured law {after}"
         text = f"the plain model costs J = {base}{with_law} where noise alone costs {floor}{tried}"
     else:
@@ -493,7 +499,7 @@ def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
         return f"it does not help: J goes from {base} to {after}, noise alone costs {floor}"
     drop = f"J falls from {base} to {after} with it"
     if share >= 1:
-        return f"{drop}, which leaves nothing of the gap above what noise alone costs ({floor})"
+        return f"{drop}, which leaves nothing of J above what noise alone costs ({floor})"
     ci = next(
         (c["gap_closed_ci95"] for c in d["causes"] if _same_set(c, d) and c.get("gap_closed_ci95")), None
     )
@@ -502,7 +508,7 @@ def _left(d: Mapping[str, Any], base: str, floor: str, after: str) -> str:
         if ci
         else ""
     )
-    return f"{drop}, which leaves {percent(1 - share)}{between} of the gap above what noise alone costs ({floor})"
+    return f"{drop}, which leaves {percent(1 - share)}{between} of J above what noise alone costs ({floor})"
 
 
 def _same_set(cause: Mapping[str, Any], d: Mapping[str, Any]) -> bool:
@@ -644,11 +650,11 @@ def _which(d: Mapping[str, Any]) -> str:
     )
     note = "" if causes else "No effect of the catalogue was refitted: there was nothing to explain."
     ranked = table(
-        ["Cause", "Probability", "Gap closed", "J held out"],
+        ["Cause", "Probability", "J closed", "J held out"],
         rows,
         caption="Ranked causes. Each was refitted on the training trial together with the parameters and judged on "
-        "the held-out trial. Effects refitted together share the probability of their set. Gap closed: share of J "
-        "above the noise floor, with its 95 % interval; more than 100 % is J below the mean of noise.",
+        "the held-out trial. Effects refitted together share the probability of their set. J closed: share of J above "
+        "the noise floor that goes with it, with its 95 % interval; more than 100 % is J below the mean of noise.",
         numeric=(2, 3),
     )
     return section(
@@ -688,7 +694,7 @@ def _cause_row(
 
 
 def _share(closing: Mapping[str, Any]) -> str:
-    """Return the share of the gap that a cause or a law closes, with its interval."""
+    """Return the share of J above noise that goes with a cause or a law, with its interval."""
     closed, ci = closing.get("gap_closed"), closing.get("gap_closed_ci95")
     between = f"<br>[{percent(ci[0]).removesuffix(' %')}, {percent(ci[1]).removesuffix(' %')}]" if ci else ""
     return _DASH if closed is None else percent(closed) + between

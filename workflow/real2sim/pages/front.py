@@ -111,7 +111,7 @@ def _how_far(diagnoses: Sequence[Diagnosis]) -> str:
     text = (
         f"On {_shown_trial([d for d, *_ in named])} the misfit {change} from {rounded(before, 2)} to "
         f"{rounded(after, 2)} times what noise leaves{f' (medians of {len(named)})' * (len(named) > 1)}. That closes "
-        f"{percent(statistics.median(shares))} of what stands above noise"
+        f"{percent(statistics.median(shares))} of chi-squared above noise"
     )
     if len(named) > 1 and percent(least[2]) != percent(statistics.median(shares)):
         text += f", for {least[0]['subject']} {percent(least[2])}"

@@ -74,7 +74,8 @@ def law_sentence(law: Mapping[str, Any]) -> str:
         text += " on the trial that it was not fitted to. "
     if law["nearest"] is not None and law["nearest"]["gap_closed"] is not None:
         closest = law["nearest"]
-        text += f"The best set of names, {closest['effect']}, closes {percent(closest['gap_closed'])}. "
+        share = percent(closest["gap_closed"])
+        text += f"The best set of names, {closest['effect']}, takes away {share} of J above noise. "
     if len(law["families"]) > 1:
         text += f"{len(law['families'])} such laws act together: this one is missed most, the table has them all. "
     return text + (
@@ -99,8 +100,8 @@ def misfit_sentence(misfit: Mapping[str, Any] | None) -> str:
     fitted, held_out = (rounded(x, 2) for x in misfit["left_sd"])
     closed = f"{100 * (1 - misfit['left_share']):.3g}"
     text = (
-        f"What is named closes {closed} % of the gap, and is not all: {fitted} (fitted trial) and {held_out} (held-out "
-        f"trial) standard deviations of noise are left{_in_sensor(misfit)}"
+        f"What is named takes away {closed} % of chi-squared above noise, and is not all: {fitted} (fitted trial) and "
+        f"{held_out} (held-out trial) standard deviations of noise are left{_in_sensor(misfit)}"
     )
     law = misfit["law"]
     if law is None:

@@ -51,13 +51,13 @@ def _answers(study: Study) -> str:
         text = f"The answers for {len(study.diagnoses)} people, and how many have each: {listed}."
     if closed:
         text += (
-            f" What was found, a cause or a measured law, closes {percent(statistics.median(closed))} of what stands "
-            f"above noise{'' if one else ' (median)'}."
+            f" What was found, a cause or a measured law, closes {percent(statistics.median(closed))} of "
+            f"chi-squared above noise{'' if one else ' (median)'}."
         )
     if any(d["verdict"] == "none" for d in study.diagnoses):
         text += (
-            "None says that the plain model leaves what noise leaves; the page of each person lists from which size on "
-            "an effect would have been seen."
+            " None says that the plain model leaves what noise leaves; the page of each person lists from which size "
+            "on an effect would have been seen."
         )
     return text
 

@@ -96,6 +96,9 @@ def _answers_table(study: Study) -> str:
         "The answer for everyone. J: cost of the held-out trial, or of the fitted one where that alone shows the gap, "
         "with the plain model, of measurement noise alone, and with the answer in the model. Misfit: chi-squared per "
         "residual of that trial without and with the answer; noise leaves 1, and chi-squared sees gaps that J does "
-        "not. Closed: share of it above noise. Next trial: what would separate the likeliest causes."
+        "not. A sensor whose noise is below the floor to which sensors are trusted (as the phantom's robot log) counts "
+        "as if it left no less than 1, so that its silence hides no misfit of the other: the misfit is then more than "
+        "chi-squared over its expectation in diagnosis.json. Closed: share of the misfit above noise. Next trial: "
+        "what would separate the likeliest causes."
     )
     return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))

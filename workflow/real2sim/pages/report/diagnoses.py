@@ -86,7 +86,7 @@ def _answers_table(study: Study) -> str:
         "Probability",
         "Stage",
         "J plain",
-        "J of noise",
+        "J of simulated noise",
         "J with it",
         "Misfit",
         "Closed",
@@ -94,7 +94,8 @@ def _answers_table(study: Study) -> str:
     ]
     caption = (
         "The answer for everyone. J: cost of the held-out trial, or of the fitted one where that alone shows the gap, "
-        "with the plain model, of measurement noise alone, and with the answer in the model. Misfit: chi-squared per "
+        "with the plain model, of measurement noise alone (noise as in neutral, simulated through the plant for that "
+        "trial), and with the answer in the model. Misfit: chi-squared per "
         "residual of that trial without and with the answer; noise leaves 1, and chi-squared sees gaps that J does "
         "not. A sensor whose noise is below the floor to which sensors are trusted (as the phantom's robot log) counts "
         "as if it left no less than 1, so that its silence hides no misfit of the other: the misfit is then more than "

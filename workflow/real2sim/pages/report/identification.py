@@ -41,10 +41,11 @@ def identification_section(study: Study) -> str:
         for row in study.identification.cross_trial.rows
     ]
     costs = table(
-        ["Person", "J", "J of noise", "95 % interval", "J on the other trial", "Overhead"],
+        ["Person", "J", "J of neutral", "95 % interval", "J on the other trial", "Overhead"],
         rows,
-        caption="Cost J (no unit): mean of the best fits on their own trial, what measurement noise alone costs, and "
-        "the same parameters on the person's other trial. Paper: section V-B.1, and its figures in the last row.",
+        caption="Cost J (no unit): mean of the best fits on their own trial, what measurement noise alone costs (the "
+        "neutral trial replayed with the best fit), and the same parameters on the person's other trial. "
+        "Paper: section V-B.1, and its figures in the last row.",
         numeric=(1, 2, 3, 4, 5),
     )
     people = by_subject(study.identification.identifiability.rows)

@@ -59,14 +59,15 @@ def cohort_section(study: Study) -> str:
         "Gates",
         "T* [cm]",
         "J",
-        "J of noise",
+        "J of neutral",
         "Determined",
         "LOSO overhead",
     ]
     caption = (
-        "Everyone of the study. J: mean over the dynamic trials of the best fit's cost; J of noise: what measurement "
-        "noise alone costs; determined: values that their trial determines; LOSO overhead: what the prior of the "
-        "others costs, in J."
+        "Everyone of the study. J: mean over the dynamic trials of the best fit's cost; J of neutral: that of the "
+        "neutral trial, replayed with the best fit, which is measurement noise and a little sway (the diagnosis "
+        "simulates the noise of a dynamic trial instead); determined: values that their trial determines; LOSO "
+        "overhead: what the prior of the others costs, in J."
     )
     head += ["Diagnosis"] if study.diagnoses else []
     markup = table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))

@@ -14,6 +14,7 @@ from real2sim.pages.front import front
 from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
 from real2sim.pages.validation import RECORD_KEYS, SURE, SURE_SINGLE
+from real2sim.study.paper.claims import SET
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_refined, write_study
 from test_pages import _diagnosis, _Page
@@ -138,6 +139,22 @@ def _with_causes(folder: Path, given: dict, *, same_trials: str | None = None) -
     out = folder / "report.html"
     report_page(**given, title="Explained", out=out, explained=[*tables, plain])
     return _parsed(out)
+
+
+def test_claims_say_their_criterion_and_what_was_put_in(report, tmp_path):
+    rows = read_table(report[1]["claims"])
+    rows[0] |= {"verdict": "reproduced", "criterion": "as many people are kept"}
+    rows[1] |= {"here": "0.0005", "unit": "p-value"}
+    write_table(tmp_path / "claims.csv", list(rows[0]), rows)
+    out = tmp_path / "report.html"
+    report_page(**report[1] | {"claims": tmp_path / "claims.csv"}, title="Study", out=out)
+    page, content = _parsed(out)
+    made = sum(row["verdict"] == SET for row in rows)
+    assert made >= 6
+    assert f"{len(rows) - made} claims are tested" in page.text
+    assert f"{made} more are not tested" in page.text
+    assert "Criterion: as many people are kept" in page.text
+    assert '<td class="number">p = 0.0005</td>' in content
 
 
 def test_tables_with_the_causes_stand_beside_the_plain_ones(report, tmp_path):

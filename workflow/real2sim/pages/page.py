@@ -92,6 +92,7 @@ th, td { padding: 0.25rem 0.7rem 0.25rem 0; border-bottom: 1px solid var(--line)
 th { font-weight: 600 }
 td.sentence { min-width: 14rem }
 td .small { font-size: 0.9em }
+.said { display: inline-block; min-width: 15rem }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
 .bar { display: inline-block; width: 6rem; max-width: 100%; height: 0.7rem; background: var(--tint);
   border: 1px solid var(--line); margin-right: 0.5rem }
@@ -139,7 +140,7 @@ footer h2 { border: 0; margin-top: 0; padding-top: 0 }
   th.number { white-space: normal }
   .met, .missed, .warned { white-space: normal }
   footer th, footer td { overflow-wrap: anywhere }
-  td.sentence { min-width: 0 }
+  td.sentence, .said { min-width: 0 }
 }
 """.strip()
 )

@@ -11,6 +11,7 @@ from real2sim.pages.paper_gap import RECORD_KEYS as PAPER_GAP_KEYS
 from real2sim.pages.paper_gap import told
 from real2sim.pages.report.parts import downloads, figure, value_cell
 from real2sim.pages.report.study import Row, Study
+from real2sim.study.paper.claims import SET
 
 _JUDGED = {
     "reproduced": "met",
@@ -19,11 +20,14 @@ _JUDGED = {
     "inconsistent": "missed",
     "does not": "missed",
 }
+# unit of a claim whose number here is that of a test
+_P_VALUE = "p-value"
 
 
 def claims_section(study: Study) -> str:
     """Every claim of the paper with its verdict."""
-    counts = Counter(row["verdict"] for row in study.claims.rows)
+    counts = Counter(row["verdict"] for row in study.claims.rows if row["verdict"] != SET)
+    made = sum(row["verdict"] == SET for row in study.claims.rows)
     others = _claims_of_the_diagnosed(study)
     head = ["The paper says", "Published", "Here", *others, "Unit", "Verdict", "Reason"]
     rows = []
@@ -31,17 +35,18 @@ def claims_section(study: Study) -> str:
         kind = next((k for start, k in _JUDGED.items() if row["verdict"].startswith(start)), "warned")
         rows.append(
             [
-                f"{escape(row['says'])} <span class='small'>{escape(row['place'])}</span>",
+                f"<span class='said'>{escape(row['says'])} <span class='small'>{escape(row['place'])}<br>"
+                f"Criterion: {escape(row['criterion'])}</span></span>",
                 value_cell(row["published"], 4),
-                value_cell(row["here"]),
+                _here(row),
                 *(cells[row["claim"]] for cells in others.values()),
-                escape(row["unit"]) if row["unit"] != "1" else "",
+                escape(row["unit"]) if row["unit"] not in ("1", _P_VALUE) else "",
                 f'<span class="{kind} wrapped">{escape(row["verdict"])}</span>',
                 escape(row["reason"]),
             ]
         )
     summary = "; ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
-    caption = "Every quantitative claim of the paper. Its own criterion stands in the file"
+    caption = "Every quantitative claim of the paper, judged by the criterion below it"
     plain = "Here"
     if _SAME_TRIALS in others:
         plain = _SAME_TRIALS
@@ -57,10 +62,23 @@ def claims_section(study: Study) -> str:
     return section(
         "claims",
         "What the paper claims, and what is found here",
-        paragraph(f"{len(study.claims.rows)} claims: {summary}."),
+        paragraph(f"{counts.total()} claims are tested: {summary}.{_untested(made)}"),
         table(head, rows, caption=caption, numeric=(1, 2, *range(3, 3 + len(others)))),
         downloads(study.claims),
     )
+
+
+def _untested(made: int) -> str:
+    """Return the sentence on claims whose numbers were put in; empty where there are none."""
+    return (
+        f" {made} more are not tested: the phantom or the model was made with their numbers." if made else ""
+    )
+
+
+def _here(row: Row) -> str:
+    """Return the number found here as a cell; that of a test says so."""
+    test = "p = " if row["unit"] == _P_VALUE and row["here"] else ""
+    return test + value_cell(row["here"])
 
 
 _SAME_TRIALS = "Same trials"
@@ -89,7 +107,7 @@ def _other_value(row: Row, other: Row) -> str:
         return ""
     verdict = other["verdict"]
     judged = f" <span class='small'>{escape(verdict)}</span>" if verdict != row["verdict"] else ""
-    return f"{value_cell(other['here'])}{judged}"
+    return f"{_here(other)}{judged}"
 
 
 def paper_gap_section(study: Study) -> str:

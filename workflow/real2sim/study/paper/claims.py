@@ -31,6 +31,8 @@ PRIVATE = "not reproducible from public data"
 INCONSISTENT = "inconsistent within the paper"
 CONSISTENT = "holds within the paper"
 NOT_COMPUTED = "not computed here"
+# a number that the phantom or the model here was made with
+SET = "set, not tested"
 # of a method, tried on simulated data that are neither measured nor the phantom's
 SIMULATED, REFUTED = "holds in simulation", "does not hold in simulation"
 COLUMNS = (
@@ -186,11 +188,12 @@ def _by(rows: Iterable[Row], key: str) -> dict[str, Row]:
 def _counted(e: Evidence, claim: str) -> Finding:
     cohort = claim.removeprefix("n_")
     here = sum(person["cohort"] == cohort for person in e.people)
-    return e.judged(here == e.said(claim), here, _set_by_the_phantom(e))
+    return _made_or_judged(e, here == e.said(claim), here)
 
 
-def _set_by_the_phantom(e: Evidence) -> str:
-    return "The phantom was made with this." if e.phantom else ""
+def _made_or_judged(e: Evidence, holds: bool, here: float) -> Finding:
+    """Return the finding on a number of the cohort: judged on people, set where the phantom was made with it."""
+    return Finding(here, SET, "The phantom was made with this.") if e.phantom else e.judged(holds, here, "")
 
 
 def _mean_of_people(e: Evidence, claim: str) -> Finding:
@@ -204,7 +207,7 @@ def _mean_of_people(e: Evidence, claim: str) -> Finding:
     if len(values) < 2:
         return e.judged(False, mean, "One person has no spread to compare with.")
     error = float(values.std(ddof=1) / np.sqrt(len(values)))
-    return e.judged(abs(mean - e.said(claim)) <= error, mean, _set_by_the_phantom(e))
+    return _made_or_judged(e, abs(mean - e.said(claim)) <= error, mean)
 
 
 def _levels(e: Evidence, claim: str) -> Finding:
@@ -214,7 +217,7 @@ def _levels(e: Evidence, claim: str) -> Finding:
     fewest = claim == "levels_fewest"
     here = min(counts) if fewest else max(counts)
     holds = here >= e.said(claim) if fewest else here <= e.said(claim)
-    return e.judged(holds, here, _set_by_the_phantom(e))
+    return _made_or_judged(e, holds, here)
 
 
 def _knee(e: Evidence, claim: str) -> Finding:
@@ -705,7 +708,9 @@ _JOINTS = {name: joint for joint, name in JOINT_NAMES.items()}
 def _dof(e: Evidence) -> Finding:
     if e.walks.dof is None:
         return _no(_NO_TWIN)
-    return e.judged(e.walks.dof == e.said("dof"), e.walks.dof, "")
+    if e.walks.dof == e.said("dof"):
+        return Finding(e.walks.dof, SET, "The skeletal model is built with as many as the paper says.")
+    return e.judged(False, e.walks.dof, "")
 
 
 def _gait(e: Evidence, condition: str, joint: str) -> list[Row]:

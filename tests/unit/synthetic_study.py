@@ -201,7 +201,7 @@ def write_paper(folder: Path, given: dict[str, Any], twin: dict[str, Path]) -> l
 def _paper(folder: Path, given: dict[str, Any], phantom: bool) -> dict[str, Path]:
     twin = write_twin(folder / "twin", phantom=phantom)
     out = write_paper(folder / "paper", given, twin)
-    return {"interface": out[2], "gait": out[4], "bars": twin["bars"]}
+    return {"interface": out[2], "gait": out[4], "bars": twin["bars"], "clouds": twin["interface"]}
 
 
 def write_refined(path: Path, *, ratio: float = 1.01, share: float = 0.2, in_priors: bool = False) -> Path:

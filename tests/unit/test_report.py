@@ -141,6 +141,42 @@ def _with_causes(folder: Path, given: dict, *, same_trials: str | None = None) -
     return _parsed(out)
 
 
+@pytest.mark.parametrize(
+    ("spreads", "verdict"),
+    [
+        ((4.0, 7.0), "reproduced in its direction and not in its size"),
+        ((4.0, 10.0), "reproduced"),
+        ((12.0, 4.0), "not reproduced"),
+    ],
+)
+def test_the_lead_says_whether_the_cloud_is_reproduced_with_each_robot(report, tmp_path, spreads, verdict):
+    """Under the prior the ratios of the seeds are 3 over 6, 7 and 8: 0.375 to 0.5; another robot is wider forward."""
+    measured = dict(zip(("sigma_x_mm", "sigma_y_mm"), spreads, strict=True)) | {
+        "gamma": spreads[0] / spreads[1]
+    }
+    table2 = read_table(report[1]["interface"])
+    measured_row = next(row for row in table2 if row["condition"] == "walk_robot")
+    measured_row |= {key: str(value) for key, value in measured.items()}
+    write_table(tmp_path / "table2.csv", list(table2[0]), table2)
+    rows = read_table(report[1]["clouds"])
+    other = [
+        row | {"robot": "compliant", "main": "false", "gamma": "" if row["seed"] == "1" else "2.5"}
+        for row in rows
+        if row["condition"] == "prior"
+    ]
+    write_table(tmp_path / "clouds.csv", list(rows[0]), [*rows, *other])
+    out = tmp_path / "report.html"
+    changed = {"interface": tmp_path / "table2.csv", "clouds": tmp_path / "clouds.csv"}
+    report_page(**report[1] | changed, title="Study", out=out)
+    text = _parsed(out)[0].text
+    assert f"With the study robot it is {verdict}: 0.435 (mean of 3 seeds, 0.375 to 0.5)." in text
+    side = "not reproduced" if spreads[0] < spreads[1] else "reproduced in its direction and not in its size"
+    assert (
+        f"With the compliant robot it is {side}: 2.5 (mean of 2 seeds, 2.5 to 2.5; in 1 more all walkers fell)."
+        in text
+    )
+
+
 def test_claims_say_their_criterion_and_what_was_put_in(report, tmp_path):
     rows = read_table(report[1]["claims"])
     rows[0] |= {"verdict": "reproduced", "criterion": "as many people are kept"}

@@ -16,6 +16,8 @@ from real2sim.geometry import AXES
 from real2sim.pages import style
 from real2sim.study.twin.adaptation import JOINT_NAMES
 
+# of the ellipse of each condition; the prior's lies over the others and lets them show between its dashes
+_LINES = {"prior": (0, (3, 1.5))}
 CONDITIONS = {"soft": style.SKY, "prior": style.VERMILION, "stiff": style.PURPLE, "own": style.GREEN}
 _WALKS = {"walk_normal": "no robot", "walk_robot": "with robot"}
 _PHASE = np.linspace(0, 100, 101)
@@ -41,7 +43,7 @@ def _robot(record: dict[str, Any]) -> str:
     return f"{record['main_robot']} robot at {record['main_cap']:.2g} of the walking speed, {aware} gait"
 
 
-def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed: bool = False) -> float:
+def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, line: Any = "-") -> float:
     """Draw a cloud's samples and its 95 % ellipse about the origin; returns the ellipse's reach [mm]."""
     if not cloud.get("trials"):
         return 0.0
@@ -56,10 +58,10 @@ def _ellipse(axes: Axes, cloud: dict[str, Any], colour: str, label: str, dashed:
             angle=cloud["ellipse"]["angle_deg"],
             fill=False,
             edgecolor=colour,
-            linestyle="--" if dashed else "-",
-            linewidth=1.2,
+            linestyle=line,
+            linewidth=1.2 if line == "-" else 1.8,
             label=f"{label}, γ = {cloud['gamma']:.2f}",
-            zorder=2,
+            zorder=2 if line == "-" else 3,
         )
     )
     return float(major)
@@ -127,9 +129,10 @@ def interface_figure(*, coupled: list[Path], out: list[Path]) -> None:
 
 def _clouds(axes: Axes, records: list[dict[str, Any]]) -> None:
     record = records[0]
-    reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", dashed=True)]
+    reach = [_ellipse(axes, record["measured"]["cloud"], style.BLUE, "measured", "--")]
     for condition in _main_conditions(record):
-        reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[condition["name"]], condition["name"]))
+        name = condition["name"]
+        reach.append(_ellipse(axes, condition["cloud"], CONDITIONS[name], name, _LINES.get(name, "-")))
     limit = 1.15 * max([*reach, 1.0])
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     axes.set_xlabel("forward (mm)")

@@ -78,6 +78,7 @@ def report_page(
     title: str,
     out: Path,
     bars: Path | None = None,
+    clouds: Path | None = None,
     refined: list[Path] | None = None,
     diagnoses: list[Path] | None = None,
     validation: list[Path] | None = None,
@@ -94,11 +95,10 @@ def report_page(
         SVG files, by the names in `FIGURES`.
     quality, tightness, breakpoints, cross_trial, identifiability, icc, classes, priors, anthropometrics, loso, claims
         Files of the stages that bear these names.
-    interface, gait, bars
-        Tables II and III of `paper.tables`, and the twins' bars where one was trained.
+    interface, gait, bars, clouds
+        Tables II and III of `paper.tables`; bars.csv and interface.csv of the twins, where one was trained.
     fits, refined, diagnoses, validation, paper_gap
-        All fit files, refinements of unseen people, diagnosis.json of those who have one; records of
-        resources/validation and of resources/paper_gap.
+        Fit files, refinements of unseen people, diagnoses; records of resources/validation and resources/paper_gap.
     explained
         table1_priors.csv, transfer.csv and claims.csv of results/paper/with_effects, and claims.csv of the plain fits
         of the same people and trials, where the calibration people are diagnosed.
@@ -110,7 +110,7 @@ def report_page(
         tightness=Tightness.read(tightness, breakpoints),
         identification=Identification.read(fits, cross_trial, identifiability),
         sharing=Sharing.read(icc, classes, priors, anthropometrics, loso, refined or [], explained or []),
-        walking=Walking.read(interface, gait, bars),
+        walking=Walking.read(interface, gait, bars, clouds),
         diagnoses=[read_json(path, ("subject", "verdict")) for path in diagnoses or []],
         validation=[read_json(path, RECORD_KEYS) for path in validation or []],
         claims=Table.read(claims),

@@ -97,16 +97,22 @@ class Sharing:
 
 @dataclass(frozen=True)
 class Walking:
-    """Tables II and III, and the bars that trained walkers have to meet; None where none was trained."""
+    """Tables II and III; bars of trained walkers and their clouds by robot and seed, None where none was trained."""
 
     interface: Table
     gait: Table
     bars: Table | None
+    clouds: Table | None
 
     @classmethod
-    def read(cls, interface: Path, gait: Path, bars: Path | None) -> Walking:
+    def read(cls, interface: Path, gait: Path, bars: Path | None, clouds: Path | None) -> Walking:
         """Read the tables. Raises InputError where one is broken."""
-        return cls(Table.read(interface), Table.read(gait), Table.read(bars) if bars else None)
+        return cls(
+            Table.read(interface),
+            Table.read(gait),
+            Table.read(bars) if bars else None,
+            Table.read(clouds) if clouds else None,
+        )
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Sequence
 from html import escape
 
-from real2sim.pages.page import paragraph, section, table
+from real2sim.artefacts import number
+from real2sim.pages.page import paragraph, rounded, section, table
 from real2sim.pages.report.parts import DASH, downloads, figure, rows_of, value_cell, words
 from real2sim.pages.report.study import Row, Study
 from real2sim.study.paper.tables import ABOUT_COUNTS
@@ -16,13 +19,16 @@ def validation_section(study: Study) -> str:
     return section(
         "validation",
         "Validation on an unseen person",
+        _cloud(study),
+        _bars(study),
         f'<div class="grid">{figure(study, "interface")}{figure(study, "gait")}</div>',
         f'<div class="grid">{figure(study, "speed")}{figure(study, "wrench")}</div>',
-        _bars(study),
         _interface_table(study),
         _gait_table(study),
         downloads(
-            walking.interface, walking.gait, *([walking.bars] if walking.bars and walking.bars.rows else [])
+            walking.interface,
+            walking.gait,
+            *(found for found in (walking.bars, walking.clouds) if found and found.rows),
         ),
     )
 
@@ -98,6 +104,55 @@ def _gait_table(study: Study) -> str:
         caption="Range of motion, its change by the robot, peak angle, and correlation with the person's own walk with "
         f"the robot; mean and SD over seeds. {ABOUT_COUNTS} Paper: Table III.",
         numeric=range(1, 9),
+    )
+
+
+def _cloud(study: Study) -> str:
+    """Return whether the interface cloud under the prior is as measured, by robot; empty without a walker."""
+    table2 = {row["condition"]: row for row in study.walking.interface.rows}
+    rows = _walker_rows(study)
+    first = next((row for row in rows if row["condition"] == "prior" and row["main"] == "true"), None)
+    if first is None or not table2["walk_robot"]["gamma"]:
+        return ""
+    measured = number(table2["walk_robot"]["gamma"])
+    compared = rows_of(rows, condition="prior", aware=first["aware"], cap=first["cap"], robot_factor="")
+    said = [
+        _cloud_with(robot, [row["gamma"] for row in rows_of(compared, robot=robot)], measured)
+        for robot in dict.fromkeys([first["robot"], *(row["robot"] for row in compared)])
+    ]
+    published = value_cell(table2["prior"]["published_gamma"])
+    return paragraph(
+        f"Interface cloud under the prior, by \N{GREEK SMALL LETTER GAMMA} (its spread forward over its spread to the "
+        f"side): measured {rounded(measured)}, published {published}. {' '.join(said)}",
+        "lead",
+    )
+
+
+def _walker_rows(study: Study) -> list[Row]:
+    """Return the clouds of the first person kept for validation who has any: the person of Table II."""
+    clouds = study.walking.clouds.rows if study.walking.clouds else []
+    kept = (name for name, cohort in study.people.items() if cohort == "validation")
+    return next((own for name in kept if (own := rows_of(clouds, subject=name))), [])
+
+
+def _cloud_with(robot: str, texts: Sequence[str], measured: float) -> str:
+    """Return a sentence on the cloud with one robot; ``texts`` are the ratios by seed, empty where all fell."""
+    values = [number(text) for text in texts if text]
+    if not values:
+        return f"With the {robot} robot no walker stayed up."
+    same_side = all((value < 1) is (measured < 1) for value in values)
+    within = min(values) <= measured <= max(values)
+    verdict = (
+        "not reproduced"
+        if not same_side
+        else "reproduced"
+        if within
+        else "reproduced in its direction and not in its size"
+    )
+    lost = f"; in {len(texts) - len(values)} more all walkers fell" if len(values) < len(texts) else ""
+    return (
+        f"With the {robot} robot it is {verdict}: {rounded(statistics.fmean(values))} (mean of {len(values)} seeds, "
+        f"{rounded(min(values))} to {rounded(max(values))}{lost})."
     )
 
 

@@ -325,6 +325,12 @@ def test_page_fits_its_window_and_complains_of_nothing(tab, whole, width):
     assert tab.errors == []
 
 
+def test_the_table_of_causes_needs_no_scrolling_on_a_narrow_screen(tab, whole):
+    tab.open(whole[0], min(WIDTHS))
+    around = "document.querySelector('section[aria-labelledby=diagnosis] .scroll')"
+    assert tab.run(f"{around}.scrollWidth <= {around}.clientWidth")
+
+
 @pytest.mark.skipif(not AXE, reason="REAL2SIM_AXE does not name axe.min.js: npm pack axe-core holds one")
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)

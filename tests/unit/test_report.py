@@ -13,7 +13,7 @@ from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
 from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
-from real2sim.pages.validation import RECORD_KEYS, SURE, SURE_SINGLE
+from real2sim.pages.validation import RECORD_KEYS, SURE, SURE_SINGLE, claim_words, target_words
 from real2sim.study.paper.claims import SET
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_refined, write_study
@@ -139,6 +139,19 @@ def _with_causes(folder: Path, given: dict, *, same_trials: str | None = None) -
     out = folder / "report.html"
     report_page(**given, title="Explained", out=out, explained=[*tables, plain])
     return _parsed(out)
+
+
+def test_claims_of_suites_are_named_in_plain_words():
+    records = [read_json(path) for path in sorted(Path("resources/validation").glob("*.json"))]
+    names = {row["claim"] for record in records for row in record["claims"]}
+    words = {name: claim_words(name) for name in names}
+    assert len(names) > 50
+    assert len(set(words.values())) == len(names)
+    inside = ("rho", "top-", "in library", "mixture", "exact set", "random law", "left out", "K, D", "null")
+    assert not [text for text in words.values() if any(label in text for label in inside)]
+    assert not [
+        t for record in records for row in record["claims"] if "rho" in (t := target_words(row["target"]))
+    ]
 
 
 @pytest.mark.parametrize(
@@ -289,7 +302,7 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     report_page(**arguments, title="S", out=out, diagnoses=[answer], validation=records)
     page, _ = _parsed(out)
     assert page.open == []
-    assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
+    assert "one cause, visibility 0.05: named first" in page.text
     first = page.text.index("Suite standard, seed 20: 120 of 240 cases answered. Stopped for time.")
     assert "Code of commit abc1234, 2026-11-20" in page.text[first : first + 250]
     assert first < page.text.index("An earlier one: suite standard, seed 10")
@@ -304,7 +317,7 @@ def test_answers_stand_beside_how_often_such_answers_are_right(tmp_path):
     )
     page, _ = _parsed(out)
     assert "a law that nobody listed: unknown, or a cause that closes as much" in page.text
-    assert "one cause, a gap of 0.05 of the noise floor: named first" in page.text
+    assert "one cause, visibility 0.05: named first" in page.text
     assert page.text.count("An earlier one") == 1
 
 

@@ -21,7 +21,7 @@ from real2sim.inference.identifiability import AT_BOUND, DETERMINED, NOT_DETERMI
 from real2sim.pages import style
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN
 
-# A cell with more characters holds a sentence
+# A cell with more characters beside its markup holds a sentence
 _SENTENCE = 40
 _MARKS = {
     DETERMINED: "\N{CHECK MARK}",
@@ -235,7 +235,7 @@ def table(
         if i in numeric:
             return f'<td class="number">{text}</td>'
         # a sentence is not squeezed to a word per line beside columns of numbers
-        kind = ' class="sentence"' if len(text) > _SENTENCE else ""
+        kind = ' class="sentence"' if len(re.sub("<[^>]*>", "", text)) > _SENTENCE else ""
         return f"<td{kind}>{text}</td>"
 
     kinds = [' class="number"' if i in numeric else "" for i in range(len(head))]

@@ -27,6 +27,7 @@ from real2sim.pages.page import (
     section,
     table,
 )
+from real2sim.pages.validation import claim_words, target_words
 
 _KEYS = (
     "suite",
@@ -82,7 +83,7 @@ def _missing(what: str) -> str:
 
 def _lead(s: Mapping[str, Any]) -> str:
     judged = [t for t in s["targets"] if t["met"] is not None]
-    missed = [t["claim"] for t in judged if not t["met"]]
+    missed = [claim_words(t["claim"]) for t in judged if not t["met"]]
     total = len(judged)
     if not total:
         text = f"{s['cases']} cases were scored against no targets."
@@ -120,10 +121,10 @@ def _verdict(met: bool | None) -> str:
 def _targets(s: Mapping[str, Any]) -> str:
     rows = [
         [
-            escape(t["claim"]),
+            escape(claim_words(t["claim"])),
             _verdict(t["met"]),
             _amount(t),
-            escape(t["target"]),
+            escape(target_words(t["target"])),
             _between(t["wilson95"]),
             str(t["n"]),
         ]

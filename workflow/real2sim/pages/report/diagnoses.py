@@ -89,7 +89,7 @@ def _answers_table(study: Study) -> str:
         "J of simulated noise",
         "J with it",
         "Misfit",
-        "Closed",
+        "Misfit closed",
         "Next trial",
     ]
     caption = (
@@ -99,7 +99,7 @@ def _answers_table(study: Study) -> str:
         "residual of that trial without and with the answer; noise leaves 1, and chi-squared sees gaps that J does "
         "not. A sensor whose noise is below the floor to which sensors are trusted (as the phantom's robot log) counts "
         "as if it left no less than 1, so that its silence hides no misfit of the other: the misfit is then more than "
-        "chi-squared over its expectation in diagnosis.json. Closed: share of the misfit above noise. Next trial: "
-        "what would separate the likeliest causes."
+        "chi-squared over its expectation in diagnosis.json. Misfit closed: share of the misfit above noise that goes "
+        "with the answer. Next trial: what would separate the likeliest causes."
     )
     return table(head, rows, caption=caption, numeric=(2, 4, 5, 6, 8))

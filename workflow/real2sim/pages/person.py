@@ -14,11 +14,11 @@ import numpy as np
 
 from real2sim.artefacts import read_json
 from real2sim.configuration import read_yaml
+from real2sim.diagnosis.stated import answer_probability, other_robot
 from real2sim.files import write_text
 from real2sim.inference.identifiability import DETERMINED
 from real2sim.inference.parameters import PARAMETERS
 from real2sim.pages import style
-from real2sim.pages.answer_text import answer_probability, other_robot
 from real2sim.pages.diagnosis import digest, shows_gap
 from real2sim.pages.page import (
     document,

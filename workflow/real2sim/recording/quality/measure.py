@@ -21,7 +21,7 @@ from real2sim.recording.subjects import parse_trial
 if TYPE_CHECKING:
     from real2sim.settings import IngestSettings, QualityRateSettings, QualitySettings
 
-_GRID_HZ = 200.0  # grid on which rates are compared: on a coarser one, which lag fits decides as much as which rate
+_GRID_HZ = 200.0  # grid on which rates are compared: on a coarser one the lag decides as much as the rate
 _PAIR_HZ = 10.0  # samples of both systems' pelvis that are kept for the frames
 _EXPLAINED_M = 0.01  # residual of the robot's clock from which another start is tried
 _STRIDES_S = (-1.0, 1.0, -2.0, 2.0)  # a fit finds its way from half a stride

@@ -26,7 +26,7 @@ FIRST = {
     "out of library: a wrong name": "a cause that is not in the catalogue: a wrong name",
     "false alarm on null": "no cause at all: one is claimed all the same",
     SURE: "every answer surer than 90 %: right, of two causes with both named",
-    SURE_SINGLE: "answers surer than 90 % of one cause or none (no pair, cause taken out or random law): right",
+    SURE_SINGLE: "answers surer than 90 % where one listed cause acts, or none: right",
     "left out: unknown, or an equal law": "a cause taken out of the catalogue: unknown, or another that closes as much",
     "left out: a wrong name surer than 90 %": "a cause taken out of the catalogue: a wrong name, and sure",
     "left out: another name that closes as much, surer than 90 %": "a cause taken out of the catalogue: another that "

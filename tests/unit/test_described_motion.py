@@ -95,6 +95,26 @@ def test_laws_of_an_axis_are_about_the_place_where_its_spring_rests(tmp_path, ef
     )
 
 
+def test_a_path_that_begins_in_motion_is_followed_from_its_first_sample(tmp_path):
+    (tmp_path / "slide.xml").write_text(SLIDE.format(rest=""))
+    about = {
+        "name": "slide",
+        "model": "slide.xml",
+        "interface": {"axes": {"x": {"joint": "slide"}}},
+        "drive": {"by": "path", "of": {"slide": "at_m"}},
+        "outputs": {"push_N": {"joint": "slide", "quantity": "force"}},
+        "parameters": {"d": {"unit": "Ns/m", "bounds": [0.1, 1000.0], "sets": "damping", "of": "x"}},
+        "step_s": 0.002,
+    }
+    system, damping = System.from_dict(about, tmp_path / "system.yaml"), 400.0
+    place, rate = 0.02 * np.sin(TURN * TIME), 0.02 * TURN * np.cos(TURN * TIME)
+    force = damping * rate - TURN**2 * place  # of a mass of 1 kg
+    table = pd.DataFrame({"time_s": TIME, "at_m": place, "push_N": force})
+    evidence = DescribedTrial(system, Recording.from_table(system, table), None, DESCRIBED).evidence()
+    paths, _ = evidence.replay((), 1).run_effects(np.array([[damping]]), [])
+    assert np.abs(paths[0, :, 0] - force).max() < 0.01 * np.abs(force).max()
+
+
 @pytest.mark.parametrize(("gravity", "offset_n"), [("0 0 0", 0.0), ("0 0 -9.81", 0.0), ("0 0 0", 5.0)])
 def test_a_machine_that_has_come_to_rest_stays_there_under_weight_and_constant_forces(
     tmp_path, gravity, offset_n

@@ -344,6 +344,14 @@ class DescribedTrial:
         stride = int(np.ceil(sample / self._system.step_s - 1e-9)) * parts
         h = sample / stride
         start, rate = self._start_of()
+        if self._system.drive.by == PATH:
+            # what follows a path is on it from the first step, with its rate: a servo that has to catch up pushes
+            columns = self._recording.stack(tuple(self._system.drive.columns.values()))
+            path, begin = self._smooth_path(columns), self._recording.time_s[0]
+            for joint, at, moving in zip(
+                self._system.drive.columns, path(begin), path(begin, 1), strict=True
+            ):
+                start[joint], rate[joint] = float(at), float(moving)
         commands, drive, acceleration = self._commands(h, stride, None)
         return Setup(
             self._system,

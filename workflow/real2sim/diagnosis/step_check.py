@@ -30,8 +30,12 @@ def fine_enough(pair: Pair, z: np.ndarray, settings: DiagnosisSettings) -> Syste
     moves no parameter by much of its SD (``step_sd``), or ``most_step_parts`` is reached.
     """
     channels, parts = settings["described"]["channels"], 1
-    while parts < channels["most_step_parts"] and _is_coarse(pair, z, parts, settings):
-        parts *= 2
+    error, coarse = _error(pair, z, parts, settings)
+    while coarse and parts < channels["most_step_parts"]:
+        finer, coarse = _error(pair, z, 2 * parts, settings)
+        if finer > error / 2:  # what does not shrink with the step is no error of it
+            break
+        error, parts = finer, 2 * parts
     return replace(pair.system, step_s=base_step_s(pair) / parts) if parts > 1 else pair.system
 
 
@@ -40,21 +44,25 @@ def base_step_s(pair: Pair) -> float:
     return cast("SystemEvidence", pair.train).simulated.base_step_s
 
 
-def _is_coarse(pair: Pair, z: np.ndarray, parts: int, settings: DiagnosisSettings) -> bool:
+def _error(pair: Pair, z: np.ndarray, parts: int, settings: DiagnosisSettings) -> tuple[float, bool]:
+    """Return chi-squared of what a step in parts does to both recordings, and whether that is too much.
+
+    Infinite, and not too much, where a simulation fails.
+    """
     channels, values = settings["described"]["channels"], pair.system.values(z)
+    total, coarse = 0.0, False
     for given in (pair.train, pair.held_out):
         evidence = cast("SystemEvidence", given)
         changed = evidence.changed_by_half_the_step(values, parts)
         if not np.isfinite(changed).all():
-            return False
+            return np.inf, False
         error = _ERROR_OF_CHANGE**2 * float(changed @ changed)
-        if error > channels["step_chi2_sd"] * np.sqrt(2 * evidence.samples):
-            return True
+        coarse |= error > channels["step_chi2_sd"] * np.sqrt(2 * evidence.samples)
         if given is pair.train:
             _, moved = _moved(pair, z, changed, settings)
-            if np.abs(moved).max(initial=0.0) > channels["step_sd"]:
-                return True
-    return False
+            coarse |= bool(np.abs(moved).max(initial=0.0) > channels["step_sd"])
+        total += error
+    return total, bool(coarse)
 
 
 def _moved(

@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 from real2sim.artefacts import write_json
 from real2sim.configuration import read_yaml, validated
+from real2sim.diagnosis.stated import answer_probability
 from real2sim.files import write_text
 from real2sim.recording.ingest import ingest_subject
 from real2sim.study.diagnose import diagnose
@@ -95,10 +96,9 @@ def _row(recorded: str, listed: bool, d: dict[str, Any]) -> str:
     machine, gap = d["machine"], d["gap"]
     found = "-" if machine is None else f"{machine['name']} {machine['probability']:.3f}"
     names = " + ".join(d["verdict_set"])
-    share = sum(d["probabilities"][name] for name in d["verdict_set"])
     left = sum(gap["chi2_best"]) / sum(gap["chi2_expected"])
     cells = [
-        d["subject"], recorded, "both" if listed else "assumed", found, f"{names} {share:.2f}",
+        d["subject"], recorded, "both" if listed else "assumed", found, f"{names} {answer_probability(d):.2f}",
         ", ".join(f"{gap[key]:.3f}" for key in ("J_base", "J_with_effect", "J_floor")),
         f"{sum(gap['chi2_plain']) / sum(gap['chi2_expected']):.1f}, {left:.2f}", f"{d['seconds']:.0f}",
     ]  # fmt: skip

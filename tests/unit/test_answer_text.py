@@ -92,12 +92,12 @@ def test_none_says_from_which_size_effects_would_have_been_seen():
     }
     content |= {"misfit": None, "next_trial": None}
     content["probabilities"]["none"] = 0.99
-    lines = answer_text("exo", content).split("\n")
+    lines = answer_text("exo", content, ("slow", "fast")).split("\n")
     assert lines[0] == "exo: none, probability 0.990"
     assert len(lines) == 5
     entry = {"effect": "coulomb", "axes": ["x"], "parameter": "level", "from": 0.123, "unit": "N"}
     content["could_show"] = [entry, entry | {"effect": "tilt", "axes": [], "from": None}]
-    lines = answer_text("exo", content).split("\n")
+    lines = answer_text("exo", content, ("slow", "fast")).split("\n")
     assert lines[5:] == [
         "Would have been seen from:",
         "  coulomb x  level  0.12 N",

@@ -13,7 +13,7 @@ from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
 from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
-from real2sim.pages.validation import RECORD_KEYS, SURE, SURE_SINGLE, claim_words, target_words
+from real2sim.pages.validation import RECORD_KEYS, SINGLE, SURE, SURE_SINGLE, claim_words, target_words
 from real2sim.study.paper.claims import SET
 from real2sim.study.paper.with_effects import PRIOR_COLUMNS, TRANSFER_COLUMNS
 from synthetic_study import REMEDY, write_refined, write_study
@@ -380,7 +380,7 @@ def test_the_front_puts_the_largest_suite_beside_the_latest():
     latest = "0 % [0 %, 10 %] of 10 answers a wrong name surer than 90 % (2026-11-30)"
     assert f"{latest}; largest suite, of 2026-11-28: 20 % [20 %, 30 %] of 32<" in text
     single = suite("2026-11-29", 0.9, 54, SURE_SINGLE)
-    only = "of one cause or none (no pair, cause taken out or random law): 90 % [90 %, 100 %] of 54 right"
+    only = f"{SINGLE}: 90 % [90 %, 100 %] of 54 right"
     assert only in front([_diagnosis()], [*records, single])
     assert only not in front([_diagnosis()], [single, suite("2026-11-30", 0.8, 48, SURE)])
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NONE, UNKNOWN = "none", "unknown"
 
 # What to record where no effect of the catalogue is likely
-_NO_LEAD = "the same motion twice, then at half the speed: what repeats is a law of place or of speed, which that tells"
+_NO_LEAD = "the same motion twice, then at half the speed: it tells a law from what never repeats, and place from speed"
 
 # Effects that no inexact law of another effect looks like: single samples that jump
 ISOLATED = ("outliers",)

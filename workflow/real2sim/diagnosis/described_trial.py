@@ -21,7 +21,7 @@ from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose, rotation_xyz
 from real2sim.recording.levels import moving_sd, white_sd
 from real2sim.recording.table import Recording, check_columns, log_columns, marker_columns
-from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of
+from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of, rests_of
 from real2sim.system.description import BASE_JOINTS, FORCE, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.kinematics import Sample, Solver, frame_markers, rigid_pose, segment_frame
@@ -280,7 +280,7 @@ class DescribedTrial:
         return {model.joint(j).name: path[:, model.jnt_qposadr[j]] for j in range(model.njnt)}
 
     def _start_of(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Positions and rates of joints at the start: means while nothing moves, else of a cubic in time."""
+        """Positions and rates of joints at the start: of a path, means while nothing moves, else of a cubic in time."""
         if self._still:
             first = slice(0, self._start)
             position = {j: float(v[first].mean()) for j, v in self._position.items()}
@@ -292,6 +292,12 @@ class DescribedTrial:
             position, rate = ({j: float(v[k]) for j, v in at.items()} for k in (0, 1))
         if self._pose:
             position = self._consistent(position)
+        if self._system.drive.by == PATH:
+            # what follows a path is on it from the first step, with its rate: a servo that has to catch up pushes
+            columns, begin = self._system.drive.columns, self._recording.time_s[0]
+            path = self._smooth_path(self._recording.stack(tuple(columns.values())))
+            position |= dict(zip(columns, path(begin).tolist(), strict=True))
+            rate |= dict(zip(columns, path(begin, 1).tolist(), strict=True))
         return position, rate
 
     @property
@@ -329,13 +335,6 @@ class DescribedTrial:
         n = len(self._recording.time_s)
         return np.column_stack([paths.get(a.joint, np.zeros(n)) for a in self._system.axes])
 
-    @property
-    def _rests(self) -> np.ndarray:
-        """Coordinates (axes,) [m, rad] at which the springs of the axes rest in the MJCF."""
-        return np.array(
-            [self._plain.qpos_spring[self._plain.joint(j).qposadr[0]] for j in self._system.axis_joints]
-        )
-
     # ---------------------------------------------------------------- drive
 
     def setup(self, parts: int) -> Setup:
@@ -344,14 +343,6 @@ class DescribedTrial:
         stride = int(np.ceil(sample / self._system.step_s - 1e-9)) * parts
         h = sample / stride
         start, rate = self._start_of()
-        if self._system.drive.by == PATH:
-            # what follows a path is on it from the first step, with its rate: a servo that has to catch up pushes
-            columns = self._recording.stack(tuple(self._system.drive.columns.values()))
-            path, begin = self._smooth_path(columns), self._recording.time_s[0]
-            for joint, at, moving in zip(
-                self._system.drive.columns, path(begin), path(begin, 1), strict=True
-            ):
-                start[joint], rate[joint] = float(at), float(moving)
         commands, drive, acceleration = self._commands(h, stride, None)
         return Setup(
             self._system,
@@ -477,7 +468,8 @@ class DescribedTrial:
         shaken = bool((sd > _TINY).any())
         simulated = Simulated(self._system, setup, draw, shaken, base, self._threads)
         measured = self._measured()
-        q, v = self._along_axes(self._position) - self._rests, self._along_axes(self._rate_of)
+        q, v = self._along_axes(self._position), self._along_axes(self._rate_of)
+        q = q - rests_of(self._system, self._plain)
         ones = np.ones(len(self._system.axes))
         scales = Scales(_large(q), _large(v), ones, ones, ones, self._pace, *self._load)
         context = self._context(measured, q, v)

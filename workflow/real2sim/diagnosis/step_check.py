@@ -47,7 +47,7 @@ def base_step_s(pair: Pair) -> float:
 def _error(pair: Pair, z: np.ndarray, parts: int, settings: DiagnosisSettings) -> tuple[float, bool]:
     """Return chi-squared of what a step in parts does to both recordings, and whether that is too much.
 
-    Infinite, and not too much, where a simulation fails.
+    Infinite and no reason to halve it where a simulation fails.
     """
     channels, values = settings["described"]["channels"], pair.system.values(z)
     total, coarse = 0.0, False

@@ -192,7 +192,7 @@ class SystemEvidence:
         return self._replay(effects, nsim, substeps(effects, self.simulated.base_step_s))
 
     def changed_by_half_the_step(self, parameters: np.ndarray, parts: int = 1) -> np.ndarray:
-        """Return the change of the whitened residuals (n_r,) at parameters (p,) by half of a step in parts."""
+        """Return the change of the whitened residuals (n_r,) at parameters (p,) by halving a step in ``parts``."""
         here, finer = (
             self.whitened(*self._replay((), 1, n).run_effects(parameters[None], []))[0]
             for n in (parts, 2 * parts)

@@ -17,13 +17,13 @@ from real2sim.effects.replay import by_axis
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.errors import InputError
 from real2sim.system.batches import untimed_batch
-from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, load_model, plant_of
+from real2sim.system.described_plant import DRIVEN_SITE, LETTERS, Anchor, load_model, plant_of, rests_of
 from real2sim.system.description import MASS, PATH, POSE, System
 from real2sim.system.drive import PelvisDrive, pelvis_drive
 from real2sim.system.linear import ForceResponse, Linearised, PrescribedMotion, joints_of
 from real2sim.system.lone_joint import LoneJoint, lone_joint
 from real2sim.system.plant import RestPose, compiled
-from real2sim.system.replay import Simulated, servo_command
+from real2sim.system.replay import Simulated, centred, servo_command
 
 # Time step for which an effect's substeps are meant [s]
 _REFERENCE_STEP_S = 0.01
@@ -124,6 +124,9 @@ class SystemReplay(FreeRuns):
         )
         self._joints = [model.joint(name) for name in system.axis_joints]
         self._start = self._start_state()
+        self._first_rate = self._start[
+            1
+        ]  # of the first simulation of the last call, half a step before its start
         self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
         # simulations whose segment would have to be driven farther than it can be
         self._failed, self._impossible = np.zeros(nsim, bool), set[bytes]()
@@ -230,12 +233,9 @@ class SystemReplay(FreeRuns):
     def _motion(self) -> np.ndarray:
         """As of `FreeRuns`: coordinates of the axes, from their rest."""
         columns = [self.model.sensor(f"axis_{axis.joint}").adr[0] for axis in self._setup.system.axes]
-        return np.asarray(self._sensed[0, :: self._setup.stride][:, columns] - self._rests)
-
-    @cached_property
-    def _rests(self) -> np.ndarray:
-        """Coordinates (axes,) [m, rad] at which the springs of the axes rest in the MJCF."""
-        return np.array([self.model.qpos_spring[j.qposadr[0]] for j in self._joints])
+        return np.asarray(
+            self._sensed[0, :: self._setup.stride][:, columns] - rests_of(self._setup.system, self.model)
+        )
 
     def linearised(self) -> ForceResponse | None:
         """Return the last call's first simulation as a linear system; None where forces do not act linearly.
@@ -391,7 +391,7 @@ class SystemReplay(FreeRuns):
             if force is not None:
                 self._control[:m, :, plant.columns(self.model, where)] += force
         # an effect's law is about the place where the axis rests, which an MJCF can put elsewhere than at zero
-        for joint, rest in zip(self._joints, self._rests, strict=True):
+        for joint, rest in zip(self._joints, rests_of(self._setup.system, self.model), strict=True):
             if rest:
                 move_tendons(fields, joint.id, np.full(m, rest), self._own_tendons)
         self._failed[:] = False
@@ -562,12 +562,6 @@ class SystemReplay(FreeRuns):
 
 def _sensor(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtSensor, obj: mujoco.mjtObj, target: str) -> None:
     spec.add_sensor(name=name, type=kind, objtype=obj, objname=target)
-
-
-def centred(rates: np.ndarray) -> np.ndarray:
-    """Return rates (m, nstep, c) at the steps, of those half a step before, which a leapfrog step keeps."""
-    after = 2 * rates[:, -1:] - rates[:, -2:-1]
-    return np.asarray((rates + np.concatenate([rates[:, 1:], after], axis=1)) / 2)
 
 
 def substeps(effects: Sequence[Placed], timestep: float) -> int:

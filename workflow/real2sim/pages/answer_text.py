@@ -33,9 +33,7 @@ def parameter_lines(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return lines_of(rows)
 
 
-def answer_text(
-    name: str, content: Mapping[str, Any], recordings: tuple[str, str] = ("recording", "recording")
-) -> str:
+def answer_text(name: str, content: Mapping[str, Any], recordings: tuple[str, str]) -> str:
     """Return what a diagnosis of the system or person ``name`` says; ``content`` is that of diagnosis.json.
 
     ``recordings`` are the names of the one that effects were fitted to and of the one that was held out.

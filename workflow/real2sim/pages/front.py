@@ -18,7 +18,7 @@ from real2sim.pages.diagnosis import (
     shows_gap,
 )
 from real2sim.pages.page import likely, listed, percent, rounded
-from real2sim.pages.validation import SURE, SURE_SINGLE, latest_and_largest
+from real2sim.pages.validation import SINGLE, SURE, SURE_SINGLE, latest_and_largest
 
 # Names of a person each up to so many, else their number
 _NAMED = 6
@@ -177,9 +177,7 @@ _CLAIMS = {
     "as much",
 }
 # Asked where no suite has counted all answers
-_SINGLE = (
-    "answers surer than 90 % of one cause or none (no pair, cause taken out or random law): {share} right"
-)
+_SINGLE = f"{SINGLE}: {{share}} right"
 
 
 def _next(diagnoses: Sequence[Diagnosis]) -> str:

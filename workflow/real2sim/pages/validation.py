@@ -11,6 +11,9 @@ from real2sim.pages.page import folded, paragraph, percent, rounded, table
 RECORD_KEYS = ("suite", "seed", "rests_on", "cases", "planned", "commit", "date", "claims")
 SURE = "every answer surer than 90 %: right"
 SURE_SINGLE = "right where surer than 90 %: one cause or none, neither left out nor a random law"
+SINGLE = (
+    "answers surer than 90 % where one cause or none acts (none taken out of the catalogue, no drawn law)"
+)
 _CLEAR = "one cause, visibility 0.2 and more"
 _FAINT = "one cause, visibility 0.05"
 _BOTH_SEEN = "two causes at once that could each be seen alone"
@@ -26,7 +29,7 @@ FIRST = {
     "out of library: a wrong name": "a cause that is not in the catalogue: a wrong name",
     "false alarm on null": "no cause at all: one is claimed all the same",
     SURE: "every answer surer than 90 %: right, of two causes with both named",
-    SURE_SINGLE: "answers surer than 90 % where one listed cause acts, or none: right",
+    SURE_SINGLE: f"{SINGLE}: right",
     "left out: unknown, or an equal law": "a cause taken out of the catalogue: unknown, or another that closes as much",
     "left out: a wrong name surer than 90 %": "a cause taken out of the catalogue: a wrong name, and sure",
     "left out: another name that closes as much, surer than 90 %": "a cause taken out of the catalogue: another that "

@@ -367,6 +367,7 @@ def _joint_states(path: Path, system: System) -> tuple[pd.DataFrame, list[Findin
     # a joint that nothing reads must not cut the time that all columns cover
     wanted = {name: series[name] for name in required_columns(system) if name in series}
     if len(wanted) < len(required_columns(system)):
+        # whoever reads the table says which column is missing, and which are there
         return pd.DataFrame(columns=[TIME, *series]), findings
     return _on_one_clock(path, wanted), [*findings, *_find_cut(path, wanted)]
 

@@ -119,6 +119,11 @@ def plant_of(system: System, timestep: float, anchor: Anchor | None, frame: Rest
     return spec
 
 
+def rests_of(system: System, model: mujoco.MjModel) -> np.ndarray:
+    """Return the coordinates (axes,) [m, rad] at which the springs of the axes rest in a compiled plant."""
+    return np.array([model.qpos_spring[model.joint(name).qposadr[0]] for name in system.axis_joints])
+
+
 def own_actuators(system: System) -> list[str]:
     """Return the actuators of a system's MJCF, by name or number: `plant_of` leaves them out."""
     return [a.name or f"number {i + 1}" for i, a in enumerate(load_model(system).actuators)]

@@ -312,6 +312,12 @@ class Replay:
         return sensors
 
 
+def centred(rates: np.ndarray) -> np.ndarray:
+    """Return rates (m, nstep, c) at the steps, of those half a step before, which a leapfrog step keeps."""
+    after = 2 * rates[:, -1:] - rates[:, -2:-1]
+    return np.asarray((rates + np.concatenate([rates[:, 1:], after], axis=1)) / 2)
+
+
 def servo_command(drive: PelvisDrive) -> np.ndarray:
     """Command (nstep, 6) of the pelvis servo: position with velocity and acceleration fed forward."""
     kp, kd = servo_gains(drive.timestep)

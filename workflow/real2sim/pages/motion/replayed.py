@@ -9,7 +9,7 @@ import numpy as np
 
 from real2sim.geometry import rotation_xyz
 from real2sim.system.plant import ROBOT_JOINTS, STRAP_JOINTS
-from real2sim.system.replay import Replay
+from real2sim.system.replay import Replay, centred
 
 _KINDS = {
     "position": mujoco.mjtSensor.mjSENS_JOINTPOS,
@@ -61,9 +61,7 @@ class MotionReplay(Replay):
             chosen: np.ndarray = every[:, [self.model.sensor(f"{kind}_{name}").adr[0] for name in names]]
             return chosen
 
-        q, rate = columns("position", STRAP_JOINTS), columns("velocity", STRAP_JOINTS)
-        # velocities of a leapfrog live half a step late (plant.py): the mean of two neighbours is at the sample
-        rate[:-1] = (rate[:-1] + rate[1:]) / 2
+        q, rate = columns("position", STRAP_JOINTS), centred(columns("velocity", STRAP_JOINTS)[None])[0]
         # MuJoCo gives the size of what a limit pushes with
         pushes = np.where(q > self._middle, -1, 1) * columns("limit", STRAP_JOINTS)
         force = -q * parameters[:6] - rate * parameters[6:] + pushes

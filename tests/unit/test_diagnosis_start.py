@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ from real2sim.configuration import validated
 from real2sim.diagnosis.answer import _stages
 from real2sim.effects import replay as replay_module
 from real2sim.effects.catalogue import EFFECT_NAMES, EFFECTS, Placed
-from real2sim.effects.chains import NeutralPose
+from real2sim.effects.chains import MarkerShapes, NeutralPose
 from real2sim.effects.friction import SmoothFriction
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, pelvis_frame, rotation_xyz
 from real2sim.recording.jumps import JumpRule
@@ -45,6 +45,7 @@ class Seen:
     time_s: np.ndarray
     pelvis_rotation: np.ndarray
     pelvis_position: np.ndarray
+    shapes: MarkerShapes = field(default_factory=lambda: MarkerShapes(np.zeros((4, 3)), np.zeros((2, 3))))
 
 
 def placed(name: str, form: str = "") -> Placed:

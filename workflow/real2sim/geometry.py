@@ -68,6 +68,18 @@ def angles_xyz(rotation: np.ndarray) -> np.ndarray:
     )
 
 
+def cardan_angles(rotation: np.ndarray) -> np.ndarray:
+    """Return Cardan angles (n, 3) [rad] about x, y, z of rotations R_z R_y R_x (n, 3, 3)."""
+    # the inverse turns back in the other order
+    return -angles_xyz(rotation.swapaxes(1, 2))
+
+
+def turn_products(angles: np.ndarray) -> np.ndarray:
+    """Return 1, angles (n, 3) [rad] about x, y, z and their products xx, xy, xz, yy, yz, zz, (n, 10)."""
+    a, b = np.triu_indices(3)
+    return np.hstack([np.ones((len(angles), 1)), angles, angles[:, a] * angles[:, b]])
+
+
 def relative_pose(
     r_p: np.ndarray, p_p: np.ndarray, r_i: np.ndarray, p_i: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from real2sim.geometry import turn_products
+
 
 @dataclass(frozen=True)
 class NeutralPose:
@@ -24,10 +26,23 @@ class NeutralPose:
 
 @dataclass(frozen=True)
 class MarkerShapes:
-    """Markers on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m]."""
+    """Markers on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m].
+
+    ``by_turn`` (10, 4, 3) is what they show of skin that moves between them: how far they are from ``segment`` at the
+    start, per Cardan angle of the segment from the start [m/rad], and per product of two of these [m/rad^2], in the
+    order of `turn_products`. None for markers on a rigid body.
+    """
 
     segment: np.ndarray
     interface: np.ndarray
+    by_turn: np.ndarray | None = None
+
+    def places(self, angles: np.ndarray) -> np.ndarray:
+        """Return where the segment's markers are seen on it (n, 4, 3) [m] at Cardan angles (n, 3) [rad]."""
+        if self.by_turn is None:
+            return np.broadcast_to(self.segment, (len(angles), *self.segment.shape))
+        moved = np.einsum("np,pki->nki", turn_products(angles), self.by_turn)
+        return np.asarray(self.segment + moved)
 
 
 @dataclass(frozen=True)

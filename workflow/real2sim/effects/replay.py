@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from real2sim.effects.chains import Context, Poses
 from real2sim.effects.controller import Answer
 from real2sim.effects.frames import move_rest
 from real2sim.effects.free_run import FreeRuns, feed_back, with_strap_motion
+from real2sim.effects.input_basis import InputChain, InputChanges
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
@@ -29,36 +30,6 @@ from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 WINDOW_S = 0.02
 # What is recorded meanwhile
 _HEARD = ("sensordata", "qfrc_passive", "qfrc_constraint", "actuator_force")
-# Values at which the chain of one parameter is asked for its answer: 10 ms of a lag within 0.1 s lie between two
-NODES = 21
-
-
-@dataclass(frozen=True)
-class InputBasis:
-    """Changes of the pelvis command (b, nstep, 6) and of pelvis and rate at the start (b, 12) by an input chain.
-
-    With ``nodes`` (b,) those are the changes at these evenly spaced values of its one parameter, else slopes and
-    curvatures of its parameters.
-    """
-
-    commands: np.ndarray
-    starts: np.ndarray
-    nodes: np.ndarray | None = None
-
-    def weights(self, values: np.ndarray) -> np.ndarray:
-        """Shares (m, b) of the changes for values (m, p)."""
-        if self.nodes is None:
-            return np.hstack([values, values**2])
-        # cubic through the four nodes about a value: a path that ends has no smooth continuation to fit a global one to
-        step = self.nodes[1] - self.nodes[0]
-        place = (values[:, 0] - self.nodes[0]) / step
-        first = np.clip(np.floor(place).astype(int) - 1, 0, len(self.nodes) - 4)
-        t = (place - first)[:, None]
-        out = np.zeros((len(values), len(self.nodes)))
-        for k in range(4):
-            others = np.delete(np.arange(4), k)
-            out[np.arange(len(values)), first + k] = np.prod((t - others) / (k - others), axis=1)
-        return out
 
 
 class EffectReplay(FreeRuns, Replay):
@@ -89,7 +60,7 @@ class EffectReplay(FreeRuns, Replay):
         effects: Sequence[Placed],
         context: Context,
         scales: Scales,
-        bases: dict[tuple[str, float, bytes], InputBasis] | None = None,
+        bases: dict[tuple[str, float, bytes], InputChain] | None = None,
         settled: bool = False,
         system: System | None = None,
         **replay: Any,
@@ -128,13 +99,13 @@ class EffectReplay(FreeRuns, Replay):
         self._commands = np.tile(servo_command(self.drive), (self._batch.nsim, 1, 1))
         chains = {i: placed for i, placed in enumerate(self.effects) if placed.effect.chains.input}
         bases = {} if bases is None else bases
-        self._basis = {}
+        self._changes = {}
         for i, placed in chains.items():
             reach = self._own(placed, np.array(placed.bounds()))
             key = placed.key, self.drive.timestep, reach.tobytes()
             if key not in bases:
-                bases[key] = self._input_basis(placed)
-            self._basis[i] = bases[key]
+                bases[key] = self._input_chain(placed)
+            self._changes[i] = InputChanges(bases[key])
         columns = [placed.effect.plant.columns(self.model, placed.where) for placed in self.effects]
         self._columns_of = {i: found for i, found in enumerate(columns) if len(found)}
 
@@ -170,35 +141,18 @@ class EffectReplay(FreeRuns, Replay):
         """As of `Replay`; dry friction is set in every simulation anew."""
         return self._frictional or super()._may_be_constrained()
 
-    def _input_basis(self, placed: Placed) -> InputBasis:
-        """Return the changes of the pelvis command and its start by an input chain, up to the parameters' bounds.
-
-        One parameter is interpolated through the chain's own answers; of several, each has a parabola through steps of
-        a tenth of its range: a lever arm of metres makes the square count.
-        """
-        context, chain = self._context, placed.effect.chains.input
+    def _input_chain(self, placed: Placed) -> InputChain:
+        """Return what an input chain does to the pelvis command and its start, up to its parameters' bounds."""
+        context, chain, plain = self._context, placed.effect.chains.input, self.drive
         assert chain is not None
-        zero = servo_command(self.drive), _first(self.drive)
+        zero = servo_command(plain), _first(plain)
 
         def changed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            drive = self._drive_for(*chain(values, context))
+            drive = _drive_for(plain, context, *chain(values, context))
             return servo_command(drive) - zero[0], _first(drive) - zero[1]
 
         low, high = self._own(placed, np.array(placed.bounds()))
-        count = len(low)
-        if count == 1:
-            nodes = np.linspace(low[0], high[0], NODES)
-            commands, starts = zip(*(changed(node[None]) for node in nodes), strict=True)
-            return InputBasis(np.array(commands), np.array(starts), nodes)
-        steps = np.diag(self._own(placed, placed.bounds()[1][None] / 10)[0])
-        # slope and curvature of each parameter from a step either way
-        both = [(changed(step), changed(-step)) for step in steps]
-        parts = []
-        for k in range(2):
-            up, down = (np.array([pair[way][k] for pair in both]) for way in (0, 1))
-            scale = steps.sum(axis=0).reshape(-1, *[1] * (up.ndim - 1))
-            parts.append(np.concatenate([(up - down) / (2 * scale), (up + down) / (2 * scale**2)]))
-        return InputBasis(*parts)
+        return InputChain(changed, low, high, self._own(placed, placed.bounds()[1][None] / 10)[0])
 
     def _impedance_of(self, parameters: np.ndarray) -> InterfaceImpedance:
         """Stiffness and damping of each axis for parameters (m, p): the model's own where they are no parameters."""
@@ -212,21 +166,17 @@ class EffectReplay(FreeRuns, Replay):
         """SI values (m, p) of those of the searched numbers (m, p) that say something of this trial."""
         return placed.values(x)[:, placed.of_trial(held_out=self._context.held_out)]
 
-    def _drive_for(self, rotation: np.ndarray, position: np.ndarray) -> PelvisDrive:
-        frame = (self.drive.reference_rotation, self.drive.reference_origin)
-        return pelvis_drive(self._context.time_s, rotation, position, self.drive.timestep, frame)
-
     def command_for(self, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Pelvis command (nstep, 6) for another path (n, 3, 3), (n, 3) [m] of the same trial."""
-        return servo_command(self._drive_for(rotation, position))
+        return servo_command(_drive_for(self.drive, self._context, rotation, position))
 
     def _starts(self, m: int) -> tuple[np.ndarray, np.ndarray]:
-        if not self._basis and not self._sightings:
+        if not self._changes and not self._sightings:
             return super()._starts(m)
         # a pelvis that is elsewhere than it was seen is so from the first step on: no jump, which would hit the robot
         first = np.tile(_first(self.drive), (m, 1))
-        for i, basis in self._basis.items():
-            first += basis.weights(self._values[i][:m]) @ basis.starts
+        for i, changes in self._changes.items():
+            first += changes.starts(self._values[i][:m])
         poses = self._sights or [self._start_pose] * m
         states = [self._state_at(row[:6], row[6:], pose) for row, pose in zip(first, poses, strict=False)]
         return np.array([q for q, _ in states]), np.array([v for _, v in states])
@@ -362,7 +312,7 @@ class EffectReplay(FreeRuns, Replay):
         for i in self._order:
             placed, values = self.effects[i], self._values[i]
             placed.effect.plant.set(fields, placed.where, self._impedance, values)
-            if i in self._basis or i in self._columns_of:
+            if i in self._changes or i in self._columns_of:
                 self._add_control(i, placed, values, m)
         # a robot at rest has balanced what pulls, in the neutral trial as well
         if self._standing and not self._settled:
@@ -603,13 +553,12 @@ class EffectReplay(FreeRuns, Replay):
 
     def _add_control(self, i: int, placed: Placed, values: np.ndarray, m: int) -> None:
         # controls start anew at every call: the first effect that adds to them restores the plain command
-        first = min([*self._basis, *self._columns_of])
+        first = min([*self._changes, *self._columns_of])
         if i == first:
             self._control[:m, :, :6] = self._commands[:m]
             self._control[:m, :, 6:] = 0
-        if i in self._basis:
-            basis = self._basis[i]
-            self._control[:m, :, :6] += np.tensordot(basis.weights(values), basis.commands, axes=1)
+        if i in self._changes:
+            self._control[:m, :, :6] += self._changes[i].commands(values)
         else:
             force = placed.effect.plant.force(values, self._context, placed.where, self._impedance)
             if force is not None:
@@ -625,6 +574,14 @@ def by_axis(parameters: np.ndarray, index_of: Mapping[int, int], own: np.ndarray
     if index == list(range(index[0], index[0] + len(own))) and index[0] >= 0:
         return parameters[:, index[0] : index[0] + len(own)]
     return np.where(np.array(index) >= 0, parameters[:, np.maximum(index, 0)], own)
+
+
+def _drive_for(
+    plain: PelvisDrive, context: Context, rotation: np.ndarray, position: np.ndarray
+) -> PelvisDrive:
+    """Return the drive along another path (n, 3, 3), (n, 3) [m] of the trial that ``plain`` drives."""
+    frame = (plain.reference_rotation, plain.reference_origin)
+    return pelvis_drive(context.time_s, rotation, position, plain.timestep, frame)
 
 
 def _first(drive: PelvisDrive) -> np.ndarray:

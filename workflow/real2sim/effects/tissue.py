@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from real2sim.effects.base import AtRest, Effect, EffectParameter, near_zero
 from real2sim.effects.chains import Chains, Context
-from real2sim.geometry import angles_xyz, rotation_xyz
+from real2sim.geometry import cardan_angles, rotation_xyz
 
 # Most Newton iterations in which the bone's angles are found whose skin shows the measured ones, and the correction
 # [rad] after which there is none: far below what a marker shows
@@ -18,22 +18,38 @@ _BONE_ROUNDS, _FOUND = 6, 1e-12
 
 
 def soft_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
-    """Return the path (n, 3, 3), (n, 3) of the bone under the skin, values (18,)."""
-    # skin moves over bone in proportion to how far the bone has turned: translation and rotation artefact
+    """Return the path (n, 3, 3), (n, 3) of the bone under the skin, values (18,).
+
+    Each marker moves over the bone in proportion to the bone's Cardan angles. How markers move against each other is
+    seen (`MarkerShapes.by_turn`); ``values`` say how they move together: 9 of their centre [m/rad], 9 of their turn as
+    a least-squares fit of small turns sees it [rad/rad].
+    """
     start = context.pelvis_rotation[0]
     shift, turn = values[:9].reshape(3, 3), values[9:].reshape(3, 3)
     seen = start.T @ context.pelvis_rotation
-    # a bone that is turned far is sought from where the skin is; angles as `_from_cardan` takes them
-    angles = -angles_xyz(seen.swapaxes(1, 2))
+    angles = cardan_angles(seen)
+    places = context.shapes.places(angles)
+    centres = places.mean(axis=1)
+    first = places[0] - centres[0]
+    # sums over the markers of where they are seen, from their centre, times where they were first
+    moments = np.einsum("nki,kj->nij", places - centres[:, None], first)
+    if np.linalg.matrix_rank(first) < 2:
+        # markers on a line, or none: as if there were as many in every direction
+        moments = np.broadcast_to(np.eye(3), moments.shape)
+    turn = (np.trace(moments[0]) * np.eye(3) - moments[0]) @ turn
+    # a bone that is turned far is sought from where the skin is
     for _ in range(_BONE_ROUNDS):
-        bone = seen @ Rotation.from_rotvec(-angles @ turn.T).as_matrix()
-        rest = _small_turn(_from_cardan(angles).swapaxes(1, 2) @ bone)
-        correction = np.linalg.solve(_cardan_slope(angles) + turn, rest[..., None])[..., 0]
+        on_bone = _from_cardan(angles).swapaxes(1, 2) @ seen @ moments
+        rest = _antisymmetric(on_bone) - angles @ turn.T
+        along = np.trace(on_bone, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        slope = (along - on_bone) @ _cardan_slope(angles) + turn
+        correction = np.linalg.solve(slope, rest[..., None])[..., 0]
         angles = angles + correction
         if np.abs(correction).max() < _FOUND:
             break
     rotation = start @ _from_cardan(angles)
-    return rotation, context.pelvis_position - np.einsum("nij,nj->ni", rotation, angles @ shift.T)
+    centre = context.pelvis_position + np.einsum("nij,nj->ni", context.pelvis_rotation, centres)
+    return rotation, centre - np.einsum("nij,nj->ni", rotation, centres[0] + angles @ shift.T)
 
 
 def wobbling_tissue(values: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
@@ -66,9 +82,9 @@ def _cardan_slope(angles: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _small_turn(rotation: np.ndarray) -> np.ndarray:
-    """Return what turns (n, 3, 3) about, times the sine of the angle, (n, 3): the turn itself where it is small."""
-    return np.asarray(0.5 * (rotation[:, [2, 0, 1], [1, 2, 0]] - rotation[:, [1, 2, 0], [2, 0, 1]]))
+def _antisymmetric(products: np.ndarray) -> np.ndarray:
+    """Return the vectors (n, 3) whose cross products are the antisymmetric parts, times two, of (n, 3, 3)."""
+    return np.asarray(products[:, [2, 0, 1], [1, 2, 0]] - products[:, [1, 2, 0], [2, 0, 1]])
 
 
 _SKIN = (
@@ -76,16 +92,18 @@ _SKIN = (
     *(near_zero(f"turn_{a}_by_r{b}", "rad/rad", 0.1, 1.5) for a in "xyz" for b in "xyz"),
 )
 _BONE = (
-    "solve R = R0 R_z R_y R_x(v) exp(turn v) for the Cardan angles v, R its rotation and R0 that at the start (Newton,"
-    " with the slope 1 + turn); the bone is turned by B = R0 R_z R_y R_x(v), and its position is the pelvis' less"
-    " B (shift v)"
+    "let x be the markers' places from their centre at the start, in the bone's axes, and y where they are seen; solve"
+    " sum(cross(x, y)) = J turn v with J = sum(|x|^2 - x x^T) for the Cardan angles v of the bone from the start"
+    " (Newton); the bone is turned by B = R0 R_z R_y R_x(v), R0 the pelvis' rotation at the start, and the markers'"
+    " centre has moved over it by shift v"
 )
 
 EFFECTS = (
     Effect(
         "soft_tissue",
         "input",
-        "pelvis markers move over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the start",
+        "each pelvis marker moves over the bone in proportion to its Cardan angles (x, y, z of R_z R_y R_x) from the"
+        " start; how markers move against each other is seen, how they move together is fitted",
         _SKIN,
         separating_trial="a marker cluster beside the pelvis markers, quiet standing and a passive pull",
         at_rest=AtRest((0.0,) * 18),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from real2sim.geometry import pelvis_frame
+from real2sim.geometry import cardan_angles, pelvis_frame, turn_products
 from real2sim.signals import steady_and_fading
 
 if TYPE_CHECKING:
@@ -75,6 +75,20 @@ def skin_of(
     whiten = np.linalg.inv(np.linalg.cholesky(normal[1:, 1:]))
     slow = whiten @ fit[1:]
     return Skin(spans, against, slow, 1 / sd, (slow @ means / sd).ravel())
+
+
+def skin_by_turn(pelvis: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return how the pelvis' markers move on it as it turns (10, 4, 3): the least-squares fit in `turn_products`.
+
+    ``pelvis`` (n, 3, 3) is its rotation, whose Cardan angles count from the first sample; ``markers`` (n, 4, 3)
+    [m, world] where they were seen; ``shape`` (4, 3) [m] their mean places, which the fit is beside.
+    """
+    rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
+    off = np.einsum("nji,nkj->nki", rotation, markers - position[:, None]) - shape
+    seen = np.isfinite(off).all(axis=(1, 2))
+    products = turn_products(cardan_angles(pelvis[0].T @ pelvis))[seen]
+    fitted, *_ = np.linalg.lstsq(products, off[seen].reshape(len(products), -1), rcond=None)
+    return np.asarray(fitted.reshape(-1, *shape.shape))
 
 
 def _against_rigid(shape: np.ndarray) -> np.ndarray:

@@ -22,7 +22,8 @@ from real2sim.diagnosis.whitening import Bands, Whitening, without_gaps
 from real2sim.effects.base import AtRest, Effect, EffectParameter, Placed, Scales
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.effects.chains import Chains, Context, Elsewhere
-from real2sim.effects.replay import EffectReplay, InputBasis
+from real2sim.effects.input_basis import InputChain
+from real2sim.effects.replay import EffectReplay
 from real2sim.geometry import AXES, INTERFACE_MARKERS, pelvis_frame
 from real2sim.inference.cost import TrialCost
 from real2sim.recording.jumps import JumpRule, spikes
@@ -149,7 +150,7 @@ class ReplayCache:
     """
 
     drives: dict[float, PelvisDrive] = field(default_factory=dict)
-    bases: dict[tuple[str, float, bytes], InputBasis] = field(default_factory=dict)
+    bases: dict[tuple[str, float, bytes], InputChain] = field(default_factory=dict)
     draws: dict[tuple[int, int], Drawn] = field(default_factory=dict)
     commands: dict[tuple[int, int, float], np.ndarray] = field(default_factory=dict)
     start_joints: np.ndarray | None = None

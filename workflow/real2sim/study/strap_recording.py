@@ -18,7 +18,7 @@ from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import PathRule, most_probable_pelvis, pelvis_shape
-from real2sim.recording.skin import skin_of
+from real2sim.recording.skin import skin_by_turn, skin_of
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import (
     bridged_rotation,
@@ -159,10 +159,11 @@ def _context(
     """Return the measurements that effects are computed from; ``start`` samples while the person stands."""
     twin = load_robot(robot).compile()
     rotation, _ = interface_frame(trial.interface[:, 0], trial.interface[:, 1])
+    pelvis, shape = bridged_rotation(trial.pelvis_rotation), pelvis_shape(trial)
     return Context(
         trial.time_s,
         trial.time_s,
-        bridged_rotation(trial.pelvis_rotation),
+        pelvis,
         signals.bridged(trial.pelvis_position),
         bridged_rotation(rotation),
         start,
@@ -172,7 +173,7 @@ def _context(
         coordinates,
         rates,
         NeutralPose(*mean_pelvis(neutral)),
-        MarkerShapes(pelvis_shape(trial), _rest_shape(trial)),
+        MarkerShapes(shape, _rest_shape(trial), skin_by_turn(pelvis, trial.pelvis_markers, shape)),
         twin.body("interface").pos,
     )
 

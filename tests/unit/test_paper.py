@@ -219,13 +219,25 @@ def test_what_beats_a_persons_own_fit_judges_nothing(study, tmp_path):
     _, given = study
     for table, column, names in (
         ("cross_trial", "overhead_percent", ("overhead_mean", "overhead_highest")),
-        ("loso", "overhead_J_percent", ("loso_J",)),
+        ("loso", "overhead_J_percent", ("loso_J", "loso_rmse")),
     ):
         rows = read_table(given[table])
         changed = [row | {column: "-3" if row["subject"] == "S01" else row[column]} for row in rows]
         write_table(tmp_path / f"{table}.csv", list(rows[0]), changed)
         again = _judged(*study, tmp_path, **{table: tmp_path / f"{table}.csv"})
         assert {again[name]["verdict"] for name in names} == {NOT_COMPUTED}, table
+
+
+def test_a_prior_may_have_a_smaller_rmse_than_the_fit_of_least_J(study, tmp_path):
+    _, given = study
+    rows = read_table(given["loso"])
+    changed = [
+        row | {"overhead_J_percent": "5", "overhead_rmse_percent": "-2" if row["subject"] == "S01" else "4"}
+        for row in rows
+    ]
+    write_table(tmp_path / "loso.csv", list(rows[0]), changed)
+    found = _judged(*study, tmp_path, loso=tmp_path / "loso.csv")["loso_rmse"]
+    assert found["verdict"] == "reproduced on the phantom"
 
 
 def test_a_count_of_refined_parameters_is_that_of_people_who_were_refined(study, tmp_path):

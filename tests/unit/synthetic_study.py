@@ -114,6 +114,7 @@ def _verdicts(path: Path, people: list[str], overridden: str) -> Path:
             "parameter": parameter,
             "unit": unit(parameter),
             "value": 100.0 + i,
+            "fitted": 101.0 + i,
             "ci95_low": 90.0 + i,
             "ci95_high": None if i % 4 == 3 else 120.0 + i,
             "verdict": VERDICTS[i % 4],

@@ -207,7 +207,7 @@ def test_noise_of_fast_cameras_is_what_the_low_pass_of_the_ingest_leaves_of_it(m
     assert added.std() == pytest.approx(left.std(), rel=0.05)
 
 
-def test_table_names_the_constant_that_matters_most(assessed, tmp_path):
+def test_table_names_the_constant_that_matters_most(trial, assessed, tmp_path):
     source = tmp_path / "one.json"
     source.write_text(json.dumps(assessed))
     assessment_table(assessments=[source], out=tmp_path / "table.csv")
@@ -221,6 +221,9 @@ def test_table_names_the_constant_that_matters_most(assessed, tmp_path):
         if known:
             assert abs(float(row["change_percent_per_10_percent"])) == max(map(abs, known.values()))
         low, high = assessed["parameters"][name]["ci95"]
+        # the assessed value is not the fit's own: least squares go on from the best restart
+        assert float(row["fitted"]) == trial.parameters[name]
+        assert row["fitted"] != row["value"]
         assert row["ci95_low"] == ("" if low is None else repr(low))
         assert row["ci95_high"] == ("" if high is None else repr(high))
 

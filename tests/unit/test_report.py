@@ -232,6 +232,23 @@ def test_what_costs_less_than_a_fit_says_that_its_search_has_not_converged(repor
     assert "S99 (dynamic_1 from the priors \N{MINUS SIGN}48 %)" in _parsed(out)[0].text
 
 
+def test_verdicts_on_other_values_than_the_fits_say_so(report, tmp_path):
+    _, given = report
+    assert "the search ended early" not in _parsed(report[0])[1]
+    rows = read_table(given["identifiability"])
+    for row in rows:
+        if (row["subject"], row["trial"]) == ("S02", "dynamic_1"):
+            row["fitted"] = str(1.2 * float(row["value"]))
+        elif row["verdict"] != "determined":
+            row["fitted"] = str(2 * float(row["value"]))
+    write_table(tmp_path / "identifiability.csv", list(rows[0]), rows)
+    changed = given | {"identifiability": tmp_path / "identifiability.csv"}
+    report_page(**changed, title="Far", out=tmp_path / "far.html", diagnoses=[])
+    page, _ = _parsed(tmp_path / "far.html")
+    assert "In 1 of 8 trials (S02 dynamic 1) they moved" in page.text
+    assert "identification.evaluations" in page.text
+
+
 def test_intervals_of_a_model_that_lacks_something_say_so(report, tmp_path):
     said = "These intervals hold for a model that lacks nothing"
     assert said in _parsed(report[0])[0].text

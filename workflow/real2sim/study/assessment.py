@@ -233,6 +233,8 @@ def assessment(
             "subject": subject,
             "trial": trial,
             "restart": best["restart"],
+            # the verdicts are on this point after least squares: how far that is from the fit must stay known
+            "fitted": best["parameters"],
             "phantom": model.trial.phantom,
             "overridden_gates": overridden_gates(records),
             **{key: value for key, value in result.items() if key != "jacobian"},
@@ -251,6 +253,7 @@ TABLE_COLUMNS = (
     "parameter",
     "unit",
     "value",
+    "fitted",
     "ci95_low",
     "ci95_high",
     "sd_ln",
@@ -266,11 +269,14 @@ TABLE_COLUMNS = (
 
 
 def assessment_table(*, assessments: list[Path], out: Path) -> None:
-    """Write one row per person, trial and parameter: value, interval, verdict, reason and what would help [SI]."""
+    """Write one row per person, trial and parameter: value, interval, verdict, reason and what would help [SI].
+
+    ``value`` is the assessed one, after least squares from the best fit; ``fitted`` is that of the best fit itself.
+    """
     rows = []
     for path in assessments:
         record = read_json(
-            path, ("subject", "trial", "parameters", "robot_sensitivity_percent_per_10_percent")
+            path, ("subject", "trial", "fitted", "parameters", "robot_sensitivity_percent_per_10_percent")
         )
         sensitivity = record["robot_sensitivity_percent_per_10_percent"]
         for name in PARAMETERS:
@@ -284,6 +290,7 @@ def assessment_table(*, assessments: list[Path], out: Path) -> None:
                     "trial": record["trial"],
                     "parameter": name,
                     "unit": unit(name),
+                    "fitted": record["fitted"][name],
                     "ci95_low": low,
                     "ci95_high": high,
                     "most_sensitive_to": constant,

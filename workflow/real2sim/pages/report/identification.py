@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
 
+from real2sim.artefacts import number
 from real2sim.inference.parameters import PARAMETERS, unit
 from real2sim.pages.diagnosis import shows_gap
 from real2sim.pages.page import bar, folded, paragraph, percent, section, table, verdict
@@ -66,6 +68,7 @@ def identification_section(study: Study) -> str:
             "autocorrelation and the noise of the pelvis markers into account."
         ),
         paragraph(_bias(study)),
+        paragraph(_far_from_fits(study.identification.identifiability.rows)),
         _per_parameter(study),
         own,
         downloads(study.identification.identifiability),
@@ -83,6 +86,30 @@ def _bias(study: Study) -> str:
         f"for {who}: there values may lie further from the truth than their intervals say, and the parameters with the "
         "cause in the model are in the person's diagnosis.json."
     )
+
+
+def _far_from_fits(rows: Sequence[Row]) -> str:
+    """Say in how many trials verdicts are on other values than those of the best fit; empty where in none."""
+    trials = dict.fromkeys((row["subject"], row["trial"]) for row in rows)
+    far = dict.fromkeys((row["subject"], row["trial"]) for row in rows if _is_far_from_fit(row))
+    if not far:
+        return ""
+    named = ", ".join(f"{name} {words(trial)}" for name, trial in far)
+    return (
+        "Before a fit is judged, least squares go on from it to the nearest minimum of J. In "
+        f"{len(far)} of {len(trials)} trials ({named}) they moved at least one parameter that is called determined by "
+        "more than half the width of its interval: the verdicts are on the values given here and not on those of the "
+        "fits (column fitted of the table), which priors, ICC and costs rest on. There the search ended early: give "
+        "it more (identification.evaluations; for least squares identification.least_squares.iterations)."
+    )
+
+
+def _is_far_from_fit(row: Row) -> bool:
+    """Return whether the best fit is farther from a determined value than the interval reaches, in ln-units."""
+    if row["verdict"] != "determined":
+        return False
+    value, fitted, low, high = (number(row[key]) for key in ("value", "fitted", "ci95_low", "ci95_high"))
+    return abs(math.log(fitted / value)) > math.log(high / low) / 2
 
 
 def _counted(rows: Sequence[Row]) -> str:

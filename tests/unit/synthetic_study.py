@@ -78,7 +78,9 @@ def _tightness(folder: Path, people: list[str], phantom: bool) -> tuple[Path, li
         sweeps.append(folder / name / "sweep.csv")
         breakpoints.append(folder / name / "breakpoints.json")
         tightness_sweep(subject=name, poses=poses, subject_yaml=yaml, out=sweeps[-1])
-        tightness_breakpoints(sweep=sweeps[-1], subject_yaml=yaml, settings=TIGHTNESS, out=breakpoints[-1])
+        tightness_breakpoints(
+            subject=name, sweep=sweeps[-1], subject_yaml=yaml, settings=TIGHTNESS, out=breakpoints[-1]
+        )
     cohort = folder / "cohort.json"
     tightness_cohort(sweeps=sweeps, breakpoints=breakpoints, settings=TIGHTNESS, out=cohort)
     figure = folder / "tightness.svg"

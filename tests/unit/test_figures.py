@@ -144,7 +144,9 @@ def test_tightness_figure_is_written(tmp_path):
     subject_yaml = write_subject_yaml(tmp_path / "subject.yaml", loosest=5, tightest=12, selected=9)
     sweep, breakpoints, cohort = (tmp_path / n for n in ("sweep.csv", "breakpoints.json", "cohort.json"))
     tightness_sweep(subject="S01", poses=poses, subject_yaml=subject_yaml, out=sweep)
-    tightness_breakpoints(sweep=sweep, subject_yaml=subject_yaml, settings=TIGHTNESS, out=breakpoints)
+    tightness_breakpoints(
+        subject="S01", sweep=sweep, subject_yaml=subject_yaml, settings=TIGHTNESS, out=breakpoints
+    )
     tightness_cohort(sweeps=[sweep], breakpoints=[breakpoints], settings=TIGHTNESS, out=cohort)
     out = [tmp_path / "tightness.png", tmp_path / "tightness.pdf"]
     tightness_figure(sweeps=[sweep], cohort=cohort, out=out)

@@ -260,6 +260,20 @@ def test_a_count_of_refined_parameters_is_that_of_people_who_were_refined(study,
     assert "Table I" in alone["reason"]
 
 
+def test_a_knee_of_one_person_is_shared_with_nobody(study, table, tmp_path):
+    knees = ("knee_rotation", "knee_x", "knee_y")
+    assert all("on 32 levels of 4 people" in table[name]["reason"] for name in knees)
+    _, given = study
+    alone = read_json(given["tightness"])
+    for pooled in alone["pooled"].values():
+        pooled["n_subjects"] = 1
+    write_json(tmp_path / "cohort.json", alone)
+    found = _judged(*study, tmp_path, tightness=tmp_path / "cohort.json")
+    for name in (*knees, "knee_at_selected"):
+        assert found[name]["verdict"] == NOT_COMPUTED
+        assert "needs at least 2 people, have 1" in found[name]["reason"]
+
+
 @pytest.mark.parametrize(
     ("fits", "verdict"),
     [

@@ -249,6 +249,17 @@ def test_verdicts_on_other_values_than_the_fits_say_so(report, tmp_path):
     assert "identification.evaluations" in page.text
 
 
+def test_no_answer_is_given_where_no_regression_was_made(report, tmp_path):
+    _, given = report
+    record = read_json(given["tightness"])
+    record["pooled"]["dx"] = {"unit": "mm", "n_subjects": 0, "status": "needs at least 6 levels, have 0"}
+    write_json(tmp_path / "cohort.json", record)
+    report_page(
+        **given | {"tightness": tmp_path / "cohort.json"}, title="", out=tmp_path / "x.html", diagnoses=[]
+    )
+    assert "needs at least 6 levels, have 0</td><td>\N{EN DASH}<" in (tmp_path / "x.html").read_text()
+
+
 def test_intervals_of_a_model_that_lacks_something_say_so(report, tmp_path):
     said = "These intervals hold for a model that lacks nothing"
     assert said in _parsed(report[0])[0].text

@@ -45,7 +45,9 @@ def _person(folder, subject, *, levels=range(5, 14), selected=9, noise=0.3, seed
     subject_yaml = write_subject_yaml(own / "subject.yaml", **ends)
     sweep, breakpoints = own / "sweep.csv", own / "breakpoints.json"
     tightness_sweep(subject=subject, poses=poses, subject_yaml=subject_yaml, out=sweep)
-    tightness_breakpoints(sweep=sweep, subject_yaml=subject_yaml, settings=SETTINGS, out=breakpoints)
+    tightness_breakpoints(
+        subject=subject, sweep=sweep, subject_yaml=subject_yaml, settings=SETTINGS, out=breakpoints
+    )
     return sweep, breakpoints
 
 
@@ -119,6 +121,27 @@ def test_who_has_no_rotation_counts_for_nothing_in_the_pooled_rotation(tmp_path)
         write_table(path, list(rows[0]), [row | {n: "" for n in row if n.startswith("dphi")} for row in rows])
     tightness_cohort(sweeps=[own, other], breakpoints=[own_knee, other_knee], settings=SETTINGS, out=out)
     assert "needs at least" in json.loads(out.read_text())["pooled"]["dphi"]["status"]
+
+
+def test_people_who_were_not_swept_keep_their_names_and_are_not_counted(tmp_path):
+    sweep, breakpoints = _person(tmp_path, "S01")
+    sweeps, persons = [sweep], [breakpoints]
+    for name in ("S06", "S07"):
+        yaml = write_subject_yaml(tmp_path / name / "subject.yaml", loosest=4, tightest=12, selected=9)
+        yaml.write_text(yaml.read_text() + "phantom: true\n")
+        sweeps.append(tmp_path / name / "sweep.csv")
+        persons.append(tmp_path / name / "breakpoints.json")
+        tightness_sweep(subject=name, poses=[], subject_yaml=yaml, out=sweeps[-1])
+        tightness_breakpoints(
+            subject=name, sweep=sweeps[-1], subject_yaml=yaml, settings=SETTINGS, out=persons[-1]
+        )
+        record = json.loads(persons[-1].read_text())
+        assert (record["subject"], record["phantom"]) == (name, True)
+    out = tmp_path / "cohort.json"
+    tightness_cohort(sweeps=sweeps, breakpoints=persons, settings=SETTINGS, out=out)
+    cohort = json.loads(out.read_text())
+    assert list(cohort["operating_points"]) == ["S01", "S06", "S07"]
+    assert cohort["persons"]["dphi"]["n_subjects"] == 1
 
 
 def test_masked_trial_is_refused(tmp_path):

@@ -31,7 +31,7 @@ rule tightness:
     shell:
         "(python -m real2sim tightness-sweep --subject {wildcards.subject} --poses {input.poses:q}"
         " --subject-yaml {input.subject:q} --out {output.sweep:q}"
-        " && python -m real2sim tightness-breakpoints --sweep {output.sweep:q}"
+        " && python -m real2sim tightness-breakpoints --subject {wildcards.subject} --sweep {output.sweep:q}"
         " --subject-yaml {input.subject:q} --settings {params.settings:q} --out {output.breakpoints:q})"
         " 2>&1 | tee {log:q}"
 

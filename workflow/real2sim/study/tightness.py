@@ -14,6 +14,7 @@ import numpy as np
 
 from real2sim.artefacts import (
     finite_or_none,
+    is_phantom,
     needs_people,
     number,
     read_json,
@@ -218,7 +219,9 @@ def _operating_point(
     }
 
 
-def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: TightnessSettings, out: Path) -> None:
+def tightness_breakpoints(
+    *, subject: str, sweep: Path, subject_yaml: Path, settings: TightnessSettings, out: Path
+) -> None:
     """Write the breakpoint regressions of one person and whether the knee of the rotation meets the selected level.
 
     Slopes are deg or mm of one side per unit of normalised tightness. ``settings`` is the config slice
@@ -231,8 +234,9 @@ def tightness_breakpoints(*, sweep: Path, subject_yaml: Path, settings: Tightnes
     write_json(
         out,
         {
-            "subject": rows[0]["subject"] if rows else "",
-            "phantom": any(r["phantom"] == "true" for r in rows),
+            # a sweep without rows, of a person who was not swept, says neither
+            "subject": subject,
+            "phantom": is_phantom([*rows, read_yaml(subject_yaml)]),
             "method": METHOD,
             "regressions": regressions,
             "operating_point": _operating_point(regressions["dphi"], scale, rows),
@@ -265,8 +269,12 @@ def _pooled(
 
 
 def _shared(persons: list[dict[str, Any]], quantity: str) -> dict[str, Any]:
-    """Return in how many persons the breakpoint exists, where, and with which change of slope."""
-    fits = [(p["subject"], p["regressions"][quantity]) for p in persons]
+    """Return in how many persons the breakpoint exists, where, and with which change of slope.
+
+    ``n_subjects`` are those with levels enough for a regression of their own.
+    """
+    every = [(p["subject"], p["regressions"][quantity]) for p in persons]
+    fits = [(s, r) for s, r in every if r["status"] == "ok"]
     found = [(s, r) for s, r in fits if r.get("exists")]
     places = [r["breakpoint"] for _, r in found]
     return {

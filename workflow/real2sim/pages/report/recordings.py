@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from html import escape
+from typing import Any
 
 from real2sim.pages.page import folded, paragraph, rounded, section, table, verdict
 from real2sim.pages.report.parts import (
@@ -125,7 +127,7 @@ def tightness_section(study: Study) -> str:
                 name, escape(name)
             ),
             escape(about["status"]),
-            verdict("determined", "yes") if about.get("exists") else "no",
+            _exists(about),
             rounded(about.get("breakpoint")) if about.get("exists") else DASH,
             rounded(about.get("p_value")),
             str(about.get("n_subjects", DASH)),
@@ -160,6 +162,12 @@ def tightness_section(study: Study) -> str:
         "Tightness and operating point",
         f'<div class="grid">{figure(study, "tightness")}<div>{regressions}{one_by_one(study, chosen)}</div></div>',
     )
+
+
+def _exists(regression: Mapping[str, Any]) -> str:
+    if "exists" not in regression:
+        return DASH
+    return verdict("determined", "yes") if regression["exists"] else "no"
 
 
 def _centimetres(value: float | None) -> str:

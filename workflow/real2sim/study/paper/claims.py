@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from real2sim.artefacts import is_phantom, number, read_json, read_table, write_table
+from real2sim.artefacts import is_phantom, needs_people, number, read_json, read_table, write_table
 from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.inference.parameters import PARAMETERS, parameter_column
@@ -220,30 +220,43 @@ def _levels(e: Evidence, claim: str) -> Finding:
     return _made_or_judged(e, holds, here)
 
 
+def _pooled_regression(e: Evidence, quantity: str) -> tuple[dict[str, Any], Finding | None]:
+    """Return the regression over people, and why it says nothing of what people share; None where it does."""
+    pooled = e.tightness["pooled"].get(quantity, {"status": "nobody has a tightness sweep"})
+    status = pooled["status"]
+    if status == "ok" and pooled["n_subjects"] < 2:
+        # one person shares nothing with anybody
+        status = needs_people(2, pooled["n_subjects"])
+    return pooled, None if status == "ok" else _no(f"Pooled regression: {status}.")
+
+
 def _knee(e: Evidence, claim: str) -> Finding:
     quantity = {"knee_rotation": "dphi", "knee_x": "dx", "knee_y": "dy"}[claim]
-    pooled = e.tightness["pooled"].get(quantity, {"status": "nobody has a tightness sweep"})
-    if pooled["status"] != "ok":
-        return _no(f"Pooled regression: {pooled['status']}.")
+    pooled, nothing = _pooled_regression(e, quantity)
+    if nothing:
+        return nothing
     wanted = claim == "knee_rotation"
     count = e.tightness["persons"][quantity]
     reason = (
-        f"p = {_short(pooled['p_value'])} on the pooled people; alone, {count['n_with_breakpoint']} of "
-        f"{count['n_subjects']} people have a breakpoint."
+        f"p = {_short(pooled['p_value'])} on {pooled['n_points']} levels of {pooled['n_subjects']} people; of "
+        f"{count['n_subjects']} with levels enough to be tested alone, {count['n_with_breakpoint']} have a breakpoint."
     )
     return e.judged(pooled["exists"] is wanted, pooled["p_value"], reason)
 
 
 @_judges("knee_at_selected")
 def _knee_at_selected(e: Evidence) -> Finding:
-    pooled = e.tightness["pooled"].get("dphi", {})
-    if not pooled.get("exists"):
+    pooled, nothing = _pooled_regression(e, "dphi")
+    if nothing:
+        return nothing
+    if not pooled["exists"]:
         return _no("There is no pooled breakpoint to compare with.")
     low, high = pooled["breakpoint_interval"]
     points = e.tightness["operating_points"]
+    compared = sum(point["agree"] is not None for point in points.values())
     reason = (
-        f"Interval [{_short(low)}, {_short(high)}]; in {e.tightness['n_agree']} of {len(points)} people the own knee "
-        "is at most one level from the selected one."
+        f"Interval [{_short(low)}, {_short(high)}]; of {compared} people with a knee of their own, "
+        f"{e.tightness['n_agree']} have it at most one level from the selected one."
     )
     # one level in units of normalised tightness (eq. 1 of section III-A), as most people have it
     half_range = {

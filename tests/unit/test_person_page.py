@@ -115,7 +115,7 @@ def _nothing(**changes) -> dict:
 
 
 def _page_of(
-    folder: Path, refined: dict, *, whole: bool = True, diagnosis: dict | None = None
+    folder: Path, refined: dict, *, whole: bool = True, diagnosis: dict | None = None, step: str = "ok"
 ) -> tuple[Path, _Page, str]:
     folder.mkdir(exist_ok=True)
     (folder / "subject.yaml").write_text(SUBJECT)
@@ -137,7 +137,7 @@ def _page_of(
                 "q_min": [-0.1] * 6,
                 "q_max": [0.1] * 6,
             },
-            "step": {"timestep_s": 0.01, "status": "ok"},
+            "step": {"timestep_s": 0.01, "status": step},
             "diagnosis": diagnosis or _diagnosis(subject="S07"),
         }
         some["model"] = folder / "model.xml"
@@ -225,6 +225,25 @@ def test_costs_of_one_trial_are_its_own(tmp_path):
     assert "dynamic 1, refined on" not in page.text
 
 
+def test_a_status_keeps_its_names_and_a_smaller_J_is_below(tmp_path):
+    missing = "no joint limits, as the sweeps at T* are missing: the point prior stands"
+    _, page, _ = _page_of(tmp_path / "none", _nothing(status=missing), whole=False)
+    assert "No joint limits, as the sweeps at T* are missing" in page.text[page.text.index("Cost J and") :]
+    better = _refined()
+    better["trials"]["dynamic_1"]["against_full"]["J_ratio"] = 0.711
+    _, page, _ = _page_of(tmp_path / "better", better)
+    assert "dynamic 1: J is 28.9 % below a full calibration's" in page.text
+
+
+def test_a_step_that_was_set_by_hand_is_not_the_step_study_s(tmp_path):
+    for status, said in (
+        ("ok", "0.01 s, by the step study (ok)"),
+        ("set by hand, no candidate passes", "0.01 s, set by hand, no candidate passes"),
+    ):
+        _, page, _ = _page_of(tmp_path, _refined(), step=status)
+        assert said in page.text
+
+
 def test_the_model_can_be_taken_away(whole):
     path, _, content = whole
     links = dict(re.findall(r'download="([^"]+)" href="data:[^;]+;base64,([^"]+)"', content))
@@ -272,7 +291,9 @@ def test_an_unknown_cause_leaves_the_plain_model_incomplete_too(tmp_path, measur
 
 
 def test_a_person_without_dynamic_trials_has_a_page_that_says_so(tmp_path):
-    _, page, _ = _page_of(tmp_path, _nothing(phantom=False), whole=False)
+    _, page, content = _page_of(tmp_path, _nothing(phantom=False), whole=False)
+    searched, source = ({row[i] for row in _rows(content, "parameters")} for i in (3, 5))
+    assert (searched, source) == ({"\N{EN DASH}"}, {"prior"}), "nothing was searched"
     top = page.text[: page.text.index("Who")]
     assert "Nothing was refined: no dynamic trial" in top
     assert "All 12 parameters are the point prior." in top

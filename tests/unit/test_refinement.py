@@ -436,6 +436,19 @@ def test_a_refused_trial_is_left_out_and_an_overridden_one_marked(person, tmp_pa
     assert record_["trials"] == {}
 
 
+def test_where_the_published_table_stands_in_nobody_is_behind_the_priors(person, tmp_path):
+    rows = read_table(person.folder / "priors.csv")
+    nothing = {"poses": [], "markers": [], "limits": None, "step": None, "in_priors": True}
+    for source, rests in (("published (Table I)", False), ("this cohort", True)):
+        about = {"source": source, "overridden": "S01/dynamic_2"}
+        write_table(tmp_path / "priors.csv", [*rows[0], *about], [row | about for row in rows])
+        given = person.arguments | nothing | {"priors": tmp_path / "priors.csv"}
+        refine(**given, out=tmp_path / "refined.json")
+        record_ = json.loads((tmp_path / "refined.json").read_text())
+        assert record_["prior_rests_on_person"] is rests
+        assert record_["priors_rest_on_refused"] == (["S01/dynamic_2"] if rests else [])
+
+
 # -------------------- the interface as a model
 
 

@@ -11,7 +11,7 @@ import pytest
 from real2sim.configuration import validated
 from real2sim.errors import InputError
 from real2sim.inference.parameters import Bounds
-from real2sim.study.step_study import parameter_draws, step_study
+from real2sim.study.step_study import _choose, parameter_draws, step_study
 from recorded_trial import CONFIG, PUBLISHED, ROBOT, record
 
 BOUNDS = Bounds.from_config(CONFIG["identification"]["bounds"])
@@ -94,6 +94,15 @@ def test_step_set_by_hand_is_kept_and_said(trial, tmp_path):
     result = study(trial, tmp_path / "plant.json", timestep=0.002)
     assert result["timestep_s"] == 0.002
     assert result["status"] == "set by hand"
+
+
+def test_a_step_set_by_hand_that_fails_the_bars_says_so():
+    rows = [{"timestep_s": 0.01, "passes": False}, {"timestep_s": 0.005, "passes": True}]
+    plant = {"timestep_s": 0.01, "study": {"candidates_s": [0.01, 0.005]}}
+    assert _choose(rows, plant) == (0.01, "set by hand, does not pass the bars of the step study")
+    rows[1]["passes"] = False
+    assert _choose(rows, plant) == (0.01, "set by hand, no candidate passes")
+    assert _choose(rows, plant | {"timestep_s": "auto"}) == (0.005, "no candidate passes")
 
 
 def test_draws_are_the_prior_and_points_of_its_intervals_within_the_bounds():

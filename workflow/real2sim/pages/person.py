@@ -37,6 +37,7 @@ from real2sim.pages.page import (
 )
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, worst
 from real2sim.study.refinement import OK
+from real2sim.study.step_study import BY_HAND
 
 _DASH = "\N{EN DASH}"
 _AXES = {
@@ -261,13 +262,16 @@ def _tightness(study: Person) -> str:
         parts.append(paragraph("No joint limits: the sweeps at T* are missing. The strap's joints are free."))
     if study.step:
         parts.append(
-            paragraph(
-                f"Time step: {study.step['timestep_s']:g} s, by the step study ({study.step['status']})."
-            )
+            paragraph(f"Time step: {study.step['timestep_s']:g} s, {_chosen(study.step['status'])}.")
         )
     else:
         parts.append(paragraph(f"Time step: {study.notes['timestep_s']:g} s, without a step study."))
     return section("tightness", "Tightness and limits", *parts)
+
+
+def _chosen(status: str) -> str:
+    """Return who chose the time step, from the status of the step study."""
+    return status if status.startswith(BY_HAND) else f"by the step study ({status})"
 
 
 def _parameters(study: Person) -> str:
@@ -287,12 +291,7 @@ def _parameters(study: Person) -> str:
         cells = [escape(name), escape(row["unit"])]
         if beside:
             cells += beside.get(name, [_DASH, _DASH])
-        cells += [
-            rounded(row["prior"], 4),
-            _interval(row["low"], row["high"]),
-            rounded(row["value"], 4),
-            escape(row["source"] + (f", {row['use']}" if row["source"] == "prior" else "")),
-        ]
+        cells += _from_prior(row, searched=refined["status"] == OK)
         for trial in trials.values():
             cells += _judged(trial, name, incomplete=incomplete)
         rows.append(cells)
@@ -315,6 +314,15 @@ def _parameters(study: Person) -> str:
         _figure(study) if refined["status"] == OK and refined["free"] else "",
         table(head, rows, caption=caption, numeric=numeric),
     )
+
+
+def _from_prior(row: Mapping[str, Any], *, searched: bool) -> list[str]:
+    """Return the cells prior, searched, value and from; without a search the prior stands, whatever its use."""
+    source = row["source"]
+    if searched and source == "prior":
+        source = f"prior, {row['use']}"
+    between = _interval(row["low"], row["high"]) if searched else _DASH
+    return [rounded(row["prior"], 4), between, rounded(row["value"], 4), escape(source)]
 
 
 def _judged(trial: Mapping[str, Any], name: str, *, incomplete: bool) -> list[str]:
@@ -446,7 +454,9 @@ def _figure(study: Person) -> str:
 def _costs(study: Person) -> str:
     refined = study.refined
     if refined["status"] != OK:
-        return section("cost", "Cost J and noise", paragraph(f"{refined['status'].capitalize()}."))
+        return section(
+            "cost", "Cost J and noise", paragraph(f"{refined['status'][0].upper()}{refined['status'][1:]}.")
+        )
     floor = refined["noise_floor"]
     low, high = floor["ci95"]
     caption = (
@@ -515,8 +525,9 @@ def _against(refined: Mapping[str, Any]) -> str:
             continue
         bar = found["bar"]
         said = "meets" if found["met"] else "misses"
+        beside = "above" if found["J_ratio"] >= 1 else "below"
         text = (
-            f"{_words(name)}: J is {percent(found['J_ratio'] - 1, 1)} above a full calibration's with"
+            f"{_words(name)}: J is {percent(abs(found['J_ratio'] - 1), 1)} {beside} a full calibration's with"
             f" {percent(found['evaluations_over_best_restart'], 1)} of the evaluations of one restart"
             f" ({percent(found['evaluations_over_all_restarts'], 1)} of all). It {said} the bar of"
             f" {percent(bar['J_ratio'] - 1)} with {percent(bar['evaluations_over_best_restart'])}."

@@ -37,7 +37,7 @@ from real2sim.study.assessment import assess_model, pelvis_marker_noise
 from real2sim.study.fit import BATCH, best_of
 from real2sim.study.noise_floor import floor_of_trial
 from real2sim.study.statistics.loso import overhead
-from real2sim.study.statistics.shareability import USE
+from real2sim.study.statistics.shareability import USE, rests_on_study
 
 if TYPE_CHECKING:
     from real2sim.settings import Settings
@@ -254,7 +254,7 @@ def refine(
     Parameters
     ----------
     priors, in_priors
-        Table of priors with class and interval per parameter; whether the person's own fits are among those behind it.
+        Table of priors with class and interval per parameter; whether the person is one of the study behind it.
     poses, markers
         Canonical tables of the dynamic trials, in one order; none if there are none.
     neutral_pose, neutral_markers, neutral_quality
@@ -275,7 +275,7 @@ def refine(
     refused = held_back(gates)
     usable = _usable(subject, poses, markers, refused)
     status = _status(poses, list(usable), limits, step, refused)
-    record = _about(subject, status, neutral_quality, priors, refused) | {"prior_rests_on_person": in_priors}
+    record = _about(subject, status, neutral_quality, refused) | _behind_priors(priors, in_priors)
     record |= {"free": [PARAMETERS[i] for i in search.free], "also_free": list(options["also_free"])}
     result = _Result(search.prior)
     used = [path for path in (limits, step) if path is not None]
@@ -301,7 +301,7 @@ def _usable(
 
 
 def _about(
-    subject: str, status: str, neutral_quality: Path, priors: Path, refused: Mapping[str, Sequence[str]]
+    subject: str, status: str, neutral_quality: Path, refused: Mapping[str, Sequence[str]]
 ) -> dict[str, Any]:
     """Return the head of the file: whom it is about, its status, and which gates were refused or overridden."""
     return {
@@ -310,10 +310,18 @@ def _about(
         "phantom": bool(read_json(neutral_quality).get("phantom", False)),
         "status": status,
         "overridden_gates": {},
-        "priors_rest_on_refused": sorted(
-            {trial for row in read_table(priors) for trial in row.get("overridden", "").split()}
-        ),
         "refused_gates": refused,
+    }
+
+
+def _behind_priors(priors: Path, in_priors: bool) -> dict[str, Any]:
+    """Return whether the person and which refused trials are behind the priors; none where the published stand in."""
+    found = [row for row in read_table(priors) if rests_on_study(row)]
+    return {
+        "prior_rests_on_person": in_priors and bool(found),
+        "priors_rest_on_refused": sorted(
+            {trial for row in found for trial in row.get("overridden", "").split()}
+        ),
     }
 
 

@@ -14,6 +14,9 @@ from real2sim.provenance import fingerprint
 from real2sim.recording.trial import TrialModel, trial_model
 from real2sim.system.replay import replay_check
 
+# Begins the status of a time step that the configuration sets (plant.timestep_s) and that passes no bar
+BY_HAND = "set by hand"
+
 if TYPE_CHECKING:
     from real2sim.settings import PlantReplayBarSettings, PlantSettings, PlantStudySettings, Settings
 
@@ -130,7 +133,12 @@ def _choose(rows: list[dict[str, Any]], plant: PlantSettings) -> tuple[float, st
     chosen = best if isinstance(configured, str) else configured
     if chosen in passing:
         return chosen, "ok"
-    return chosen, "set by hand" if passing else "no candidate passes"
+    if not passing:
+        failure = "no candidate passes"
+    else:
+        tried = any(row["timestep_s"] == chosen for row in rows)
+        failure = "does not pass the bars of the step study" if tried else ""
+    return chosen, failure if isinstance(configured, str) else ", ".join(filter(None, (BY_HAND, failure)))
 
 
 def _row(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -263,6 +263,15 @@ def shareability(*, fits: list[Path], settings: StatisticsSettings, out_fits: Pa
     write_table(out_icc, ICC_COLUMNS, named)
 
 
+# Begins the column ``source`` where the published table stands in
+_PUBLISHED = "published"
+
+
+def rests_on_study(row: Mapping[str, str]) -> bool:
+    """Return whether a row of `priors` holds what a study found, and not the published value in its place."""
+    return "source" in row and not row["source"].startswith(_PUBLISHED)
+
+
 def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
     return {
         "prior": number(row["prior"]),
@@ -270,7 +279,7 @@ def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
         "interval_high": number(row["interval_high"]),
         "class": row["class"],
         "use": USE[row["class"]],
-        "source": f"published ({row['place']})",
+        "source": f"{_PUBLISHED} ({row['place']})",
         "status": status,
     }
 

@@ -1,12 +1,13 @@
 """Figures are written, the same bytes for the same data."""
 
 import pytest
+from matplotlib.figure import Figure
 from real2sim.artefacts import number, read_json, read_table, write_json
 from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.diagnosis import answer_words, chi2_closed, chi2_per_residual
-from real2sim.pages.fits import convergence_figure, icc_figure, loso_figure
+from real2sim.pages.fits import _icc_panel, convergence_figure, icc_figure, loso_figure
 from real2sim.pages.gap import gap_figure
-from real2sim.pages.style import PHANTOM_LABEL, new_figure, signed
+from real2sim.pages.style import NAMED_PEOPLE, PHANTOM_LABEL, new_figure, person_style, signed
 from real2sim.pages.tables import cross_trial_table, priors_table
 from real2sim.pages.tightness import tightness_figure
 from real2sim.study.statistics.loso import loso_table
@@ -137,6 +138,21 @@ def test_figure_of_the_gaps_names_everyone_and_the_answer(tmp_path, monkeypatch)
     assert "of the fitted trial, which alone shows the gap" in out[0].read_text()
     gap_figure(diagnoses=[], out=out)
     assert "nobody was diagnosed" in out[0].read_text()
+
+
+def test_no_two_named_people_look_alike():
+    looks = [tuple(person_style(index).values()) for index in range(NAMED_PEOPLE)]
+    assert len(set(looks)) == NAMED_PEOPLE
+
+
+def test_every_icc_lies_inside_its_panel(tmp_path):
+    _, tables = _results(tmp_path, 4)
+    rows = read_table(tables["icc"])
+    for lowest, limit in ((-0.05, -0.15), (-0.6, -0.65)):
+        rows[0] |= {"icc_untruncated": str(lowest), "exact_low": str(lowest)}
+        axes = Figure().subplots()
+        _icc_panel(axes, rows[:1])
+        assert axes.get_xlim()[0] == pytest.approx(limit)
 
 
 def test_tightness_figure_is_written(tmp_path):

@@ -260,6 +260,12 @@ def test_a_count_of_refined_parameters_is_that_of_people_who_were_refined(study,
     assert "Table I" in alone["reason"]
 
 
+def test_claims_name_the_refused_trials_of_unseen_people(study, tmp_path):
+    path = write_refined(tmp_path / "refined.json")
+    write_json(path, read_json(path) | {"overridden_gates": {"S99/dynamic_1": ["spikes"]}})
+    assert _judged(*study, tmp_path, refined=[path])["refine_fidelity"]["overridden"] == "S99/dynamic_1"
+
+
 def test_a_knee_of_one_person_is_shared_with_nobody(study, table, tmp_path):
     knees = ("knee_rotation", "knee_x", "knee_y")
     assert all("on 32 levels of 4 people" in table[name]["reason"] for name in knees)

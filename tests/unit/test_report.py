@@ -474,6 +474,23 @@ def test_what_is_missing_or_overridden_is_said_at_the_top(tmp_path):
     assert "a gate refuses it (quality.override): S01/dynamic_1." in top
 
 
+def test_a_refused_trial_of_an_unseen_person_is_said_at_the_top(report, tmp_path):
+    _, given = report
+    record = read_json(given["refined"][0]) | {"overridden_gates": {"S99/dynamic_1": ["spikes"]}}
+    write_json(tmp_path / "refined.json", record)
+    report_page(
+        **given | {"refined": [tmp_path / "refined.json"]},
+        title="",
+        out=tmp_path / "x.html",
+        diagnoses=[],
+    )
+    page, _ = _parsed(tmp_path / "x.html")
+    assert (
+        "Refined although a gate refuses it (quality.override): S99/dynamic_1. What is said of that person"
+        in page.text
+    )
+
+
 def test_same_results_give_the_same_bytes(report, tmp_path):
     path, given = report
     again = tmp_path / "report.html"

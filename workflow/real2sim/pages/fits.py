@@ -122,7 +122,8 @@ def _icc_panel(axes: Axes, rows: list[dict[str, str]]) -> None:
             point = estimate if method == "bootstrap" else number(row["icc_untruncated"])
             axes.plot([low, high], [y, y], color=look["color"], linewidth=1.1)
             axes.plot([point], [y], color=look["color"], marker=look["marker"], markersize=2.8)
-    axes.set_xlim(-0.15, 1.02)
+    # an ICC that is not truncated reaches down to -1 / (fits per person - 1), its interval too
+    axes.set_xlim(min(-0.15, axes.dataLim.x0 - 0.05), 1.02)
     axes.set_xticks(edges, [f"{edge:g}" for edge in edges])
     axes.set_xlabel("ICC(1,1) (1)")
 

@@ -95,10 +95,14 @@ def new_figure(
 
 
 def person_style(index: int) -> dict[str, Any]:
-    """Colour and marker of the index-th person, both varied so that neither is needed alone."""
+    """Colour and marker of the index-th person, both varied so that neither is needed alone.
+
+    When all colours are used up the markers move on by one, so that no pair comes twice among the first 49 people.
+    """
+    rounds, colour = divmod(index, len(PERSON_COLOURS))
     return {
-        "color": PERSON_COLOURS[index % len(PERSON_COLOURS)],
-        "marker": PERSON_MARKERS[index % len(PERSON_MARKERS)],
+        "color": PERSON_COLOURS[colour],
+        "marker": PERSON_MARKERS[(index + rounds) % len(PERSON_MARKERS)],
     }
 
 

@@ -36,11 +36,16 @@ def notices(study: Study) -> list[str]:
         for row in rows
         for trial in row.get("overridden", "").split()
     }
-    if refused:
-        listed = ", ".join(sorted(refused))
-        found.append(
-            f"Fitted although a gate refuses it (quality.override): {listed}. All results rest on it."
-        )
+    of_refined = {trial for record in study.sharing.refined for trial in record.get("overridden_gates", {})}
+    for trials, what in (
+        (refused, "Fitted although a gate refuses it (quality.override): {}. All results rest on it."),
+        (
+            of_refined - refused,
+            "Refined although a gate refuses it (quality.override): {}. What is said of that person rests on it.",
+        ),
+    ):
+        if trials:
+            found.append(what.format(", ".join(sorted(trials))))
     found += _not_converged(study)
     return [f'<p class="notice">{escape(text)}</p>' for text in found]
 

@@ -879,7 +879,10 @@ def judge(evidence: Evidence, source: Path) -> list[dict[str, Any]]:
 
 def _refused(evidence: Evidence) -> str:
     """Return the trials that the results rest on although a gate refuses them, as a table cell."""
-    return " ".join(sorted({trial for row in evidence.icc for trial in row.get("overridden", "").split()}))
+    of_fits = {trial for row in evidence.icc for trial in row.get("overridden", "").split()}
+    return " ".join(
+        sorted(of_fits.union(*(record.get("overridden_gates", {}) for record in evidence.refined)))
+    )
 
 
 def _rows_of(table: Path | None, subject: str) -> list[Row]:

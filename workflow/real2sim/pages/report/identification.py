@@ -46,7 +46,8 @@ def identification_section(study: Study) -> str:
         ["Person", "J", "J of neutral", "95 % interval", "J on the other trial", "Overhead"],
         rows,
         caption="Cost J (no unit): mean of the best fits on their own trial, what measurement noise alone costs (the "
-        "neutral trial replayed with the best fit), and the same parameters on the person's other trial. "
+        "neutral trial replayed with the best fit; of a short trial, the interval holds the true mean less often than"
+        " it says, see docs/statistics.md), and the same parameters on the person's other trial. "
         "Paper: section V-B.1, and its figures in the last row.",
         numeric=(1, 2, 3, 4, 5),
     )

@@ -38,8 +38,8 @@ FIGURES = {
         "The slopes say how much motion a further tightening takes away before the knee and beyond it. Allowable "
         "motion against normalised tightness (no unit; 0 is the selected level, positive is tighter). (a, b) Range of"
         " translation in mm. (c) Range of pelvic rotation of either side in deg, with the pooled two-segment "
-        "regression, its slopes in deg per unit of normalised tightness, and the knee with its interval (grey band). "
-        "Paper: Fig. 3.",
+        "regression, its slopes in deg per unit of normalised tightness, and the knee with its interval (grey band). Of"
+        " few people, the band holds the true knee less often than it says (docs/statistics.md). Paper: Fig. 3.",
     ),
     "convergence": (
         "Convergence",

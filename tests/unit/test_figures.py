@@ -202,6 +202,17 @@ def test_cross_trial_table_has_persons_mean_and_paper(tmp_path):
     assert rows["paper"]["phantom"] == "false"
 
 
+def test_cross_trial_table_says_that_nobody_has_two_dynamic_trials(tmp_path):
+    paths = [tmp_path / f"S0{i}.json" for i in (1, 2, 3)]
+    for path in paths:
+        status = "needs at least 2 dynamic trials, has 1"
+        write_json(path, {"subject": path.stem, "phantom": False, "status": status, "pairs": []})
+    out = tmp_path / "cross.csv"
+    cross_trial_table(cross_trial=paths, floors=[], published=PUBLISHED / "cross_trial.csv", out=out)
+    rows = {row["subject"]: row for row in read_table(out)}
+    assert rows["mean"]["status"] == "needs two dynamic trials of a person, and nobody has them"
+
+
 def test_results_never_hold_nan(tmp_path):
     _, tables = _results(tmp_path, 1)
     for path in tables.values():

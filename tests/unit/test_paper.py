@@ -12,9 +12,10 @@ import pytest
 from real2sim.artefacts import number, read_json, read_table, write_json, write_table
 from real2sim.errors import InputError
 from real2sim.inference.parameters import parameter_column
+from real2sim.pages.tables import PRIORS_COLUMNS
 from real2sim.study.paper.claims import CONSISTENT, INCONSISTENT, NOT_COMPUTED, PRIVATE, SET, claims
 from real2sim.study.paper.latex import escaped, latex_table, macro_name, macros
-from real2sim.study.paper.tables import paper_figures
+from real2sim.study.paper.tables import _priors_tex, paper_figures
 from synthetic_study import (
     CLAIM_TABLES,
     PUBLISHED,
@@ -266,6 +267,14 @@ def test_claims_name_the_refused_trials_of_unseen_people(study, tmp_path):
     assert _judged(*study, tmp_path, refined=[path])["refine_fidelity"]["overridden"] == "S99/dynamic_1"
 
 
+def test_table_i_in_latex_has_plain_numbers_and_the_configured_share():
+    row = dict.fromkeys(PRIORS_COLUMNS, "") | {"parameter": "k_tx", "source": "this cohort"}
+    row |= {"prior": "1724.6", "interval_low": "0.05", "interval_high": "12000", "confidence": "0.9"}
+    tex = _priors_tex([row], phantom=False)
+    assert "1720 & [0.05, 12000]" in tex
+    assert r"central 90 \% of the fits" in tex
+
+
 def test_a_knee_of_one_person_is_shared_with_nobody(study, table, tmp_path):
     knees = ("knee_rotation", "knee_x", "knee_y")
     assert all("on 32 levels of 4 people" in table[name]["reason"] for name in knees)
@@ -415,7 +424,7 @@ def test_a_published_prior_is_not_printed_as_one_of_the_fits(tmp_path):
     assert rows[0]["status"].startswith("needs at least")
     assert number(rows[0]["prior"]) == number(rows[0]["published_prior"])
     tex = (tmp_path / "paper" / "table1_priors.tex").read_text("utf-8")
-    assert "k_tx & N/m & -- & -- & -- & 725 & [205, 2.57e+03] & common".replace("_", r"\_") in tex
+    assert "k_tx & N/m & -- & -- & -- & 725 & [205, 2570] & common".replace("_", r"\_") in tex
     assert "Dash: no prior of the fits (needs at least 3 people, have 1)." in tex
 
 

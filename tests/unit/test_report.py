@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from real2sim.artefacts import read_json, read_table, write_json, write_table
 from real2sim.pages.front import front
+from real2sim.pages.report.foot import _search
 from real2sim.pages.report.page import report_page
 from real2sim.pages.report.parts import FIGURES
 from real2sim.pages.validation import RECORD_KEYS, SINGLE, SURE, SURE_SINGLE, claim_words, target_words
@@ -247,6 +248,33 @@ def test_verdicts_on_other_values_than_the_fits_say_so(report, tmp_path):
     page, _ = _parsed(tmp_path / "far.html")
     assert "In 1 of 8 trials (S02 dynamic 1) they moved" in page.text
     assert "identification.evaluations" in page.text
+
+
+def test_tables_name_the_configured_share_and_what_was_not_regressed(report, tmp_path):
+    _, given = report
+    assert "95 % spread" in _parsed(report[0])[0].text
+    changes = {}
+    for name, of_ok in (("priors", {}), ("anthropometrics", {"status": "ok", "exponent": "0.5"})):
+        rows = [row | {"confidence": "0.9"} | of_ok for row in read_table(given[name])]
+        if of_ok:
+            rows[0] |= {"status": "no variance: all people are equal", "exponent": ""}
+        changes[name] = tmp_path / f"{name}.csv"
+        write_table(changes[name], list(rows[0]), rows)
+    report_page(**given | changes, title="", out=tmp_path / "x.html", diagnoses=[])
+    page, _ = _parsed(tmp_path / "x.html")
+    for said in ("90 % spread", "Next person (90 %)", "90 % interval"):
+        assert said in page.text
+    assert "No regression of k_tx: no variance: all people are equal." in page.text
+
+
+def test_the_foot_names_the_search_that_was_made():
+    own = {"screen": 13, "iterations": 25, "ftol": 1e-6}
+    ident = {"restarts": 5, "evaluations": 1200, "seed": 1, "least_squares": own}
+    settings = {"identification": ident, "plant": {"timestep_s": 0.01}}
+    said = {method: _search({"method": method, "settings": settings}) for method in ("cma", "least_squares")}
+    assert said["cma"] == "cma, 5 restarts of 1200 evaluations, seed 1, time step 0.01 s"
+    assert "5 restarts of at most 25 iterations from the best of 13 starts" in said["least_squares"]
+    assert "1200" not in said["least_squares"]
 
 
 def test_no_answer_is_given_where_no_regression_was_made(report, tmp_path):

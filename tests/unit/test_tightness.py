@@ -177,6 +177,19 @@ def test_joint_limits_are_the_extremes_over_both_trials(tmp_path):
     assert "not observable" in limits["notes"][0]
 
 
+def test_limits_of_an_axis_without_any_value_name_file_axis_and_remedy(tmp_path):
+    lost = {"rz": np.linspace(-0.1, 0.1, 50), "rx": np.full(50, np.nan)}
+    paths = {
+        kind: write_pose(tmp_path / name / "pose.parquet", lost)
+        for kind, name in (("rotation", "rotation_T09"), ("translation", "translation_T09"))
+    }
+    neutral = write_pose(tmp_path / "neutral" / "pose.parquet", {"tx": np.zeros(50)})
+    with pytest.raises(InputError) as error:
+        joint_limits(subject="S01", neutral=neutral, out=tmp_path / "S01.json", **paths)
+    for part in ("rotation_T09/pose.parquet", "q_rx", "translation_T09/pose.parquet", "exclude"):
+        assert part in str(error.value)
+
+
 def test_limits_that_leave_rest_outside_are_refused(tmp_path):
     write = {"tx": np.full(10, 0.02), "ty": np.zeros(10), "rz": np.zeros(10)}
     paths = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from real2sim.artefacts import needs_people, number, read_json, read_table, write_table
 from real2sim.recording.quality.verdict import overridden_trials
-from real2sim.study.statistics.shareability import PRIOR_COLUMNS
+from real2sim.study.statistics.shareability import PRIOR_COLUMNS, is_published
 
 PRIORS_COLUMNS = (
     *PRIOR_COLUMNS[:6],
@@ -25,6 +25,7 @@ PRIORS_COLUMNS = (
     "use",
     "source",
     "status",
+    "confidence",
     "published_place",
     "overridden",
     "phantom",
@@ -63,7 +64,7 @@ def priors_table(*, priors: Path, published: Path, out: Path) -> None:
             "published_class": paper["class"],
             "published_place": paper["place"],
         }
-        if not ours["source"].startswith("published"):
+        if not is_published(ours["source"]):
             value = number(ours["prior"])
             row["ratio_to_published_1"] = value / number(paper["prior"])
             inside = number(paper["interval_low"]) <= value <= number(paper["interval_high"])
@@ -127,5 +128,6 @@ def cross_trial_table(*, cross_trial: list[Path], floors: list[Path], published:
         if all("J_floor_1" in row for row in done):
             mean["J_floor_1"] = float(np.mean([row["J_floor_1"] for row in done]))
     else:
-        mean["status"] = needs_people(1, 0)
+        missing = "needs two dynamic trials of a person, and nobody has them"
+        mean["status"] = missing if rows else needs_people(1, 0)
     write_table(out, CROSS_TRIAL_COLUMNS, [*rows, mean, _published_cross_trial(published)])

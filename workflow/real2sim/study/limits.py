@@ -20,20 +20,31 @@ RY_NOTE = (
 
 
 def _where(
-    trials: dict[str, dict[str, np.ndarray]], axis: str, largest: bool
+    trials: dict[Path, dict[str, np.ndarray]], axis: str, largest: bool
 ) -> tuple[float, dict[str, Any]]:
-    """Return the extreme value of one axis over the trials, and the trial and time at which it was recorded."""
+    """Return the extreme value of one axis over the trials, and the trial and time at which it was recorded.
+
+    ``trials`` are pose tables by their file. Raises InputError where none of them has a value.
+    """
     best: tuple[float, dict[str, Any]] | None = None
-    for trial, q in trials.items():
+    for path, q in trials.items():
         values = q[f"q_{axis}"]
         if not np.isfinite(values).any():
             continue
         index = int(np.nanargmax(values) if largest else np.nanargmin(values))
         value = float(values[index])
         if best is None or (value > best[0] if largest else value < best[0]):
-            best = value, {"trial": trial, "time_s": float(q["time_s"][index])}
+            best = value, {"trial": path.parent.name, "time_s": float(q["time_s"][index])}
     if best is None:
-        raise ValueError(axis)
+        first, *others = trials
+        raise InputError(
+            first,
+            f"column q_{axis}, and in {' and '.join(map(str, others))}",
+            "no finite value",
+            "a value of every axis in one of the sweeps at T* at least",
+            "Fill the gaps of the interface and pelvis markers in the export, or name both trials under exclude in "
+            "subject.yaml.",
+        )
     return best
 
 
@@ -44,9 +55,8 @@ def joint_limits(*, subject: str, rotation: Path, translation: Path, neutral: Pa
     its own range is kept beside for scale. Raises InputError where the limits do not hold q = 0: rest would
     lie beyond a stop.
     """
-    paths = {path.parent.name: path for path in (rotation, translation)}
-    read = {trial: read_pose(path) for trial, path in paths.items()}
-    trials = {trial: columns for trial, (columns, _) in read.items()}
+    read = {path: read_pose(path) for path in (rotation, translation)}
+    trials = {path: columns for path, (columns, _) in read.items()}
     rest, about_rest = read_pose(neutral)
     abouts = [about_rest, *(about for _, about in read.values())]
     axes: dict[str, dict[str, Any]] = {}
@@ -55,7 +65,7 @@ def joint_limits(*, subject: str, rotation: Path, translation: Path, neutral: Pa
         if not low <= 0.0 <= high:
             raise InputError(
                 rotation.parent.parent,
-                f"axis {axis}, trials {' and '.join(paths)}",
+                f"axis {axis}, trials {' and '.join(path.parent.name for path in trials)}",
                 f"[{low:.4g}, {high:.4g}]",
                 "an interval that holds rest (0)",
                 "Check that the neutral trial was recorded at T* with the same markers.",

@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from real2sim.pages.page import folded, paragraph, table
+from real2sim.pages.report.parts import words
 from real2sim.pages.report.study import Study
 
 # Beyond so many input files each fit file holds its own, and the page their number
@@ -48,8 +49,12 @@ def provenance(study: Study) -> str:
 
 def _search(fit: Mapping[str, Any]) -> str:
     ident = fit["settings"]["identification"]
+    if fit["method"] == "cma":
+        budget = f"{ident['evaluations']} evaluations"
+    else:
+        own = ident["least_squares"]
+        budget = f"at most {own['iterations']} iterations from the best of {own['screen']} starts"
     return (
-        f"{fit['method']}, {ident['restarts']} restarts of {ident['evaluations']} evaluations, seed "
-        f"{ident['seed']}, time step "
+        f"{words(fit['method'])}, {ident['restarts']} restarts of {budget}, seed {ident['seed']}, time step "
         f"{_distinct([str(fit['settings']['plant']['timestep_s'])])} s"
     )

@@ -8,6 +8,7 @@ from html import escape
 from real2sim.artefacts import number
 from real2sim.pages.page import download, folded, inline, percent, rounded
 from real2sim.pages.report.study import Row, Study, Table
+from real2sim.pages.style import NAMED_PEOPLE
 
 # Beyond so many people the page tells of all together; rows of single ones are folded away or left to the tables
 MANY_PEOPLE = 40
@@ -64,9 +65,10 @@ FIGURES = {
     ),
     "loso": (
         "Leave one subject out",
-        "Where a bar is near zero, the prior of the others serves a person as well as their own fit. What the prior "
-        "of the others costs the person left out: overhead over their own best fit in %, for cost J and for position "
-        "RMSE. Paper: Fig. 4, bottom, and eq. 7.",
+        "Where an overhead is near zero, the prior of the others serves a person as well as their own fit. What the "
+        "prior of the others costs the person left out: overhead over their own best fit in %, for cost J and for "
+        f"position RMSE. Bars: each person. Curves, of more than {NAMED_PEOPLE} people: the share whose overhead is at "
+        "most so much. Paper: Fig. 4, bottom, and eq. 7.",
     ),
     "interface": (
         "Interface while walking",

@@ -19,7 +19,8 @@ from real2sim.pages.report.parts import (
     words,
 )
 from real2sim.pages.report.study import Row, Study, Table
-from real2sim.study.paper.tables import is_published, missing_priors
+from real2sim.study.paper.tables import missing_priors, percent_of_fits
+from real2sim.study.statistics.shareability import is_published
 
 # As the columns of tables with both are called
 _MODELS = ("plain", "with_effects")
@@ -80,7 +81,8 @@ def _transfer_twice(transfer: Table, who: str) -> str:
 def _priors_twice(priors: Table, who: str) -> str:
     missing = [row[f"status_{m}"] for row in priors.rows for m in _MODELS if is_published(row[f"source_{m}"])]
     dashes = f". {missing_priors(missing)}" if missing else ""
-    of_model = ["95 % spread", "ICC", "Class"]
+    share = percent_of_fits(priors.rows)
+    of_model = [f"{share} spread", "ICC", "Class"]
     rows = [
         [
             escape(row["parameter"]),
@@ -95,7 +97,7 @@ def _priors_twice(priors: Table, who: str) -> str:
     return table(
         ["Parameter", "Plain model", *of_model, "With causes", *of_model, "Unit", "Published", "Class"],
         rows,
-        caption="Table I with the plain model and with the diagnosed causes in it: prior, central 95 % of the "
+        caption=f"Table I with the plain model and with the diagnosed causes in it: prior, central {share} of the "
         f"fits, their ICC and the class by it. {who}{dashes}",
         numeric=(1, 3, 5, 7, 10),
     )
@@ -114,7 +116,8 @@ def _prior_of(row: Row, model: str) -> list[str]:
 
 
 def _priors_table(study: Study) -> str:
-    share = {row["parameter"]: row for row in study.sharing.icc.rows}
+    shared = {row["parameter"]: row for row in study.sharing.icc.rows}
+    share = percent_of_fits(study.sharing.priors.rows)
     rows = [
         [
             escape(row["parameter"]),
@@ -123,7 +126,7 @@ def _priors_table(study: Study) -> str:
             interval_cell(row["prediction_low"], row["prediction_high"]),
             escape(row["unit"]),
             escape(row["class"]),
-            value_cell(share.get(row["parameter"], {}).get("icc", "")),
+            value_cell(shared.get(row["parameter"], {}).get("icc", "")),
             escape(row["use"]),
             value_cell(row["published_prior"], 4),
             escape(row["published_class"]),
@@ -134,8 +137,8 @@ def _priors_table(study: Study) -> str:
         [
             "Parameter",
             "Prior",
-            "95 % spread",
-            "Next person (95 %)",
+            f"{share} spread",
+            f"Next person ({share})",
             "Unit",
             "Class",
             "ICC",
@@ -254,9 +257,16 @@ def _regression(study: Study) -> str:
         ]
         for row in known
     ]
+    without: dict[str, list[str]] = {}
+    for row in study.sharing.anthropometrics.rows:
+        if row["status"] != "ok":
+            without.setdefault(row["status"], []).append(row["parameter"])
     return table(
-        ["Parameter", "Predictor", "Exponent", "95 % interval", "p (Holm)"],
+        ["Parameter", "Predictor", "Exponent", f"{percent_of_fits(known)} interval", "p (Holm)"],
         rows,
         caption=f"By which power of {body} a parameter grows",
         numeric=(2, 4),
+    ) + "".join(
+        paragraph(f"No regression of {joined(list(dict.fromkeys(names)))}: {status}.")
+        for status, names in without.items()
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from real2sim.artefacts import number, read_table, write_table
 from real2sim.files import replacing, write_text
 from real2sim.study.paper.latex import latex_table
+from real2sim.study.statistics.shareability import is_published
 from real2sim.study.twin.adaptation import JOINT_NAMES
 
 Row = dict[str, str]
@@ -128,8 +129,13 @@ def _text(value: Any, decimals: int = 1) -> str:
     return f"{value:.{decimals}f}" if value is not None and math.isfinite(value) else _DASH
 
 
-def _significant(text: str) -> str:
-    return f"{number(text):.3g}" if text else _DASH
+def short(value: str | float) -> str:
+    """Return a number with three digits and without an exponent; a dash for none."""
+    parsed = number(value) if isinstance(value, str) else value
+    if not math.isfinite(parsed):
+        return _DASH
+    text = f"{parsed:.3g}"
+    return f"{float(text):.0f}" if "e+" in text else text
 
 
 def _counts(row: dict[str, Any]) -> list[str]:
@@ -194,20 +200,21 @@ def paper_tables(
         write_text(files[name], text)
 
 
-def is_published(source: str) -> bool:
-    """Return whether a prior of this source is the paper's, in place of one of the fits."""
-    return source.startswith("published")
-
-
 def missing_priors(statuses: Iterable[str]) -> str:
     """Return the sentence of a caption on the dashes in place of priors of the fits; ``statuses`` are the reasons."""
     return f"Dash: no prior of the fits ({'; '.join(dict.fromkeys(statuses))})."
 
 
+def percent_of_fits(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return which share of the fits the intervals of a table of priors hold, as ``95 %``; the paper's if none says."""
+    said = next((row["confidence"] for row in rows if row.get("confidence")), "")
+    return f"{100 * number(said):g} %" if said else "95 %"
+
+
 def _prior_cells(row: Row, who: str) -> list[str]:
     """Prior, interval and class, of the fits or, with ``who`` = published_, of the paper."""
-    ends = (_significant(row[f"{who}interval_{end}"]) for end in ("low", "high"))
-    return [_significant(row[f"{who}prior"]), f"[{', '.join(ends)}]", row[f"{who}class"]]
+    ends = (short(row[f"{who}interval_{end}"]) for end in ("low", "high"))
+    return [short(row[f"{who}prior"]), f"[{', '.join(ends)}]", row[f"{who}class"]]
 
 
 def _priors_tex(rows: Sequence[Row], phantom: bool) -> str:
@@ -218,7 +225,8 @@ def _priors_tex(rows: Sequence[Row], phantom: bool) -> str:
             ours = [_DASH] * len(ours)
             missing.append(row["status"])
         printed.append([row["parameter"], row["unit"], *ours, *_prior_cells(row, "published_")])
-    caption = "Priors: geometric mean and central 95 % of the fits, beside the published ones (Table I)."
+    share = percent_of_fits(rows)
+    caption = f"Priors: geometric mean and central {share} of the fits, beside the published ones (Table I)."
     return latex_table(
         ["Parameter", "Unit", "Prior", "Interval", "Class", "Published", "Interval", "Class"],
         printed,
@@ -281,7 +289,7 @@ def _cross_trial_tex(rows: Sequence[Row], phantom: bool) -> str:
     keys = ("J_within_mean_1", "J_cross_mean_1", "J_floor_1", "overhead_percent")
     return latex_table(
         ["Person", "J within", "J cross", "J of noise", "Overhead (%)"],
-        [[row["subject"], *(_significant(row[key]) for key in keys)] for row in rows],
+        [[row["subject"], *(short(row[key]) for key in keys)] for row in rows],
         caption="Cost of the best fit on its own trial and on the other one (section V-B).",
         label="tab:cross-trial",
         phantom=phantom,

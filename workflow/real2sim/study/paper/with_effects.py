@@ -20,7 +20,8 @@ from real2sim.errors import InputError
 from real2sim.files import write_text
 from real2sim.study.explained import METHOD
 from real2sim.study.paper.latex import latex_table
-from real2sim.study.paper.tables import is_published, missing_priors
+from real2sim.study.paper.tables import missing_priors, short
+from real2sim.study.statistics.shareability import is_published
 
 if TYPE_CHECKING:
     from real2sim.settings import IdentificationSettings
@@ -41,6 +42,7 @@ PRIOR_COLUMNS = (
     *(f"published_{what}" for what in _OF_PRIORS),
     *_OF_SEARCH,
     *(f"{what}_{model}" for model in MODELS for what in _ORIGIN),
+    "confidence",
     "phantom",
 )
 TRANSFER_COLUMNS = (
@@ -83,6 +85,7 @@ def prior_rows(
         if not any(is_published(prior["source"]) for prior in pair):
             row["change_percent"] = 100 * (number(row["prior_with_effects"]) / number(row["prior_plain"]) - 1)
         row |= {f"published_{what}": published[name][what] for what in _OF_PRIORS}
+        row["confidence"] = next((prior["confidence"] for prior in pair if prior.get("confidence")), None)
         row["phantom"] = any(d["phantom"] for d in diagnoses)
         out.append(row)
     return out
@@ -259,7 +262,7 @@ def same_trials(row: Mapping[str, Any]) -> str:
 
 def _model_cells(row: Mapping[str, Any], model: str) -> list[str]:
     """Prior with its range, ICC and class with one of the models; dashes where the published prior stands in."""
-    icc = _short(row[f"icc_{model}"])
+    icc = short(row[f"icc_{model}"])
     if is_published(row[f"source_{model}"]):
         return ["\N{EN DASH}", icc, "\N{EN DASH}"]
     prior = _with_range(row, f"prior_{model}", f"interval_low_{model}", f"interval_high_{model}")
@@ -294,7 +297,7 @@ def _table1(rows: Sequence[Mapping[str, Any]]) -> str:
 def _transfer(rows: Sequence[Mapping[str, Any]]) -> str:
     return latex_table(
         ["Quantity", "Unit", "Plain", "With causes", "Published"],
-        [[row["says"], row["unit"], *(_short(row[key]) for key in (*MODELS, "published"))] for row in rows],
+        [[row["says"], row["unit"], *(short(row[key]) for key in (*MODELS, "published"))] for row in rows],
         caption=(
             f"What parameters cost on the person's other trial and on another person, means over "
             f"{rows[0]['n_subjects']} people, with the plain model and with the diagnosed causes in it. "
@@ -306,14 +309,5 @@ def _transfer(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _short(value: str | float) -> str:
-    """Three digits, without an exponent; a dash for none."""
-    parsed = number(value) if isinstance(value, str) else value
-    if not np.isfinite(parsed):
-        return "\N{EN DASH}"
-    text = f"{parsed:.3g}"
-    return f"{float(text):.0f}" if "e+" in text else text
-
-
 def _with_range(row: Mapping[str, Any], value: str, low: str, high: str) -> str:
-    return f"{_short(row[value])} [{_short(row[low])}, {_short(row[high])}]"
+    return f"{short(row[value])} [{short(row[low])}, {short(row[high])}]"

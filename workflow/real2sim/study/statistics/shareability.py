@@ -70,6 +70,7 @@ PRIOR_COLUMNS = (
     "use",
     "source",
     "status",
+    "confidence",
     "n_subjects",
     "n_fits",
     "overridden",
@@ -267,9 +268,14 @@ def shareability(*, fits: list[Path], settings: StatisticsSettings, out_fits: Pa
 _PUBLISHED = "published"
 
 
+def is_published(source: str) -> bool:
+    """Return whether a prior of this source is the paper's, in place of one of the fits."""
+    return source.startswith(_PUBLISHED)
+
+
 def rests_on_study(row: Mapping[str, str]) -> bool:
-    """Return whether a row of `priors` holds what a study found, and not the published value in its place."""
-    return "source" in row and not row["source"].startswith(_PUBLISHED)
+    """Return whether a row of a table of priors holds what a study found; the published table has no source."""
+    return "source" in row and not is_published(row["source"])
 
 
 def _published_row(row: dict[str, str], status: str) -> dict[str, Any]:
@@ -319,6 +325,7 @@ def priors(*, fits: Path, icc: Path, published: Path, settings: StatisticsSettin
                 "use": USE[found["class"]],
                 "source": "this cohort",
                 "status": found["status"],
+                "confidence": settings["confidence"],
             }
         else:
             row = _published_row(stand_in[name], found["status"])

@@ -320,6 +320,16 @@ def test_the_bone_is_found_under_markers_that_each_slide_their_own_way():
     assert found < 0.25 * without
 
 
+def test_skin_that_leaves_no_bone_to_be_driven_is_no_simulation():
+    """Values within their bounds whose bone turns by more than can be driven: beside others that can be simulated."""
+    skin = placed_whole("soft_tissue")
+    far = np.concatenate([np.zeros(9), (-0.99 * np.eye(3)).ravel()])
+    x = skin.searched(np.array([far, np.zeros(18)]))
+    paths, _ = replay([skin], nsim=2).run_effects(np.tile(PRIOR, (2, 1)), [x])
+    assert np.isnan(paths[0]).any()
+    np.testing.assert_allclose(paths[1], replay([]).run_effects(PRIOR[None], [])[0][0], atol=1e-9)
+
+
 def test_the_bone_of_a_person_who_turns_round_is_found():
     """Up to 150 degrees to the left, on skin that slides by 10 mm per radian."""
     rng = np.random.default_rng(4)

@@ -53,3 +53,17 @@ def test_one_point_is_asked_for_once_however_often_it_comes():
     changes.starts(values)
     changes.commands(values)
     assert chain.asked == 1
+
+
+def test_a_path_that_cannot_be_driven_has_no_start():
+    chain = Chain(1.0)
+
+    def short(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if np.abs(values).max() > 0.5:
+            raise ValueError("the pelvis turns by 170 degrees from its first pose")
+        return chain(values)
+
+    changes = InputChanges(InputChain(short, LOW, HIGH, HIGH / 10))
+    starts = changes.starts(np.array([[0.8, 0.8], [0.2, 0.4]]))
+    assert np.isnan(starts[0]).all()
+    np.testing.assert_allclose(starts[1], chain(np.array([0.2, 0.4]))[1])

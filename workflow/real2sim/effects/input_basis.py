@@ -74,11 +74,21 @@ class InputChain:
         self.basis = InputBasis.of(answer, low, high, steps)
         self.cell = np.maximum(high - low, 1e-12) / _CELLS
         # the system's columns of a Jacobian, and every other hypothesis, ask for one point again and again
-        self._asked = lru_cache(_KEPT)(lambda row: answer(np.frombuffer(row)))
+        self._answer, self._asked = answer, lru_cache(_KEPT)(self._ask)
 
     def own(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the chain's own change of the command (nstep, 6) and of the start (12,) for values (p,)."""
+        """Return the chain's own change of the command (nstep, 6) and of the start (12,) for values (p,).
+
+        The start is NaN where nothing can be driven so, as of a simulation that MuJoCo gives up on.
+        """
         return self._asked(np.ascontiguousarray(row, float).tobytes())
+
+    def _ask(self, row: bytes) -> tuple[np.ndarray, np.ndarray]:
+        try:
+            return self._answer(np.frombuffer(row))
+        except (ValueError, np.linalg.LinAlgError):
+            # a segment that turns farther than it can be driven, or no segment at all
+            return np.zeros(self.basis.commands.shape[1:]), np.full(self.basis.starts.shape[1], np.nan)
 
 
 class InputChanges:

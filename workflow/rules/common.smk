@@ -170,6 +170,14 @@ except InputError as error:
 PEOPLE = People(PEOPLE)
 
 CALIBRATION = [name for name, person in PEOPLE.items() if person.cohort == "calibration"]
+# people with a simulated twin, who learns from their walks without a robot
+TWINS = [
+    name
+    for name, person in PEOPLE.items()
+    if person.trials_of("walk_normal") and STUDY["twin"]["cohort"] in ("all", person.cohort)
+]
+# priority of what stands at the head of the longest chain of jobs: a twin's recordings, gait and trainings
+LONGEST = 1
 RESTARTS = range(1, STUDY["identification"]["restarts"] + 1)
 ROBOT = STUDY["paths"]["robot"]
 PUBLISHED = STUDY["paths"]["published"]
@@ -257,6 +265,11 @@ def protocols():
         (endings.get(names[0], f"_{names[0]}"), list(trials), "|".join(names))
         for trials, names in alike.items()
     ]
+
+
+def before_twin(names):
+    """Return the priority of a job of these people: what a training waits for is begun first."""
+    return LONGEST if set(names) & set(TWINS) else 0
 
 
 def raw_files(wildcards):

@@ -23,6 +23,7 @@ for _suffix, _trials, _names in protocols():
             "logs/benchmarks/ingest/{subject}.tsv"
         wildcard_constraints:
             subject=_names,
+        priority: before_twin(_names.split("|"))
         conda:
             "../envs/real2sim.yaml"
         threads: 1

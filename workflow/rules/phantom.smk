@@ -22,6 +22,7 @@ if PHANTOM is not None:
                 f"logs/phantom/{_name}.log",
             benchmark:
                 f"logs/benchmarks/phantom/{_name}.tsv"
+            priority: before_twin([_name])
             conda:
                 "../envs/real2sim.yaml"
             threads: 1

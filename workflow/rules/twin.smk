@@ -7,11 +7,6 @@ Steps:   model from height, mass and sex; a gait that it can walk; one policy pe
          interface; tables and figures. A person without a walk_normal trial has no gait to learn and is left out.
 """
 
-TWINS = [
-    name
-    for name, person in PEOPLE.items()
-    if person.trials_of("walk_normal") and STUDY["twin"]["cohort"] in ("all", person.cohort)
-]
 SEEDS = STUDY["twin"]["seeds"]
 
 
@@ -70,6 +65,7 @@ rule twin_reference:
         "logs/twin/{subject}/reference.log",
     benchmark:
         "logs/benchmarks/twin/{subject}/reference.tsv"
+    priority: LONGEST
     conda:
         "../envs/real2sim.yaml"
     threads: 1
@@ -100,6 +96,7 @@ rule twin_train:
         "logs/twin/{subject}/seed-{seed}/train.log",
     benchmark:
         "logs/benchmarks/twin/{subject}/seed-{seed}/train.tsv"
+    priority: LONGEST
     conda:
         "../envs/real2sim.yaml"
     threads: 1

@@ -3,6 +3,7 @@
 import copy
 from types import SimpleNamespace
 
+import pytest
 from real2sim.api import Diagnosis
 from real2sim.diagnosis.stated import answer_probability
 from real2sim.pages.answer_text import answer_text, lines_of
@@ -120,6 +121,8 @@ def test_a_set_has_the_probability_of_its_own_rows_and_not_of_its_names():
         "considered": [{"effects": list(names), "probability": p} for names, p in sets.items()],
     }
     assert answer_probability(content) == 0.456
+    both = content | {"otherwise": {"verdict_set": ["preload"], "named_probability": 0.1}}
+    assert answer_probability(both) == pytest.approx(0.556), "the same set under the other initial state"
 
 
 def test_an_answer_beside_another_robot_counts_that_robot_once():

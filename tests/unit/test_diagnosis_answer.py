@@ -247,6 +247,22 @@ def test_a_measured_law_shares_its_probability_with_the_other_initial_state_as_s
     assert considered[1]["handicap"] == 40.0
 
 
+def test_a_set_that_both_initial_states_name_has_the_probability_of_both(stubs):
+    pair = fit_of(placed("coulomb"), placed("tilt"))
+    found = found_of(pair_of("study", *IN_ORDER), plain(90_000.0, 90_000.0), hypotheses=[pair])
+    other = found_of(pair_of("study", *IN_ORDER), plain(90_000.0, 90_000.0), BALANCE, hypotheses=[pair])
+    own = decision_of("coulomb", [0.9], 0, coulomb=0.5, tilt=0.4, unknown=0.1)
+    theirs = decision_of("coulomb", [0.8], 0, coulomb=0.4, tilt=0.4, unknown=0.2)
+    decisions = {START_POSE: (own, None, None), BALANCE: (theirs, None, None)}
+    stubs.setattr(answers, "_checked", lambda found, *rest: decisions[found.initial_state])
+    stubs.setattr(answers, "conclude", lambda found, options: theirs)
+    stubs.setattr(answers, "share_of_other", lambda costs, left, c: 0.25)
+    stubs.setattr(answers, "effect_intervals", unit_intervals)
+    answer = answers.answer(Outcome(found, own, other, False), CONFIG)
+    assert answer.otherwise["named_probability"] == pytest.approx(0.25 * 0.8)
+    assert sum(row["probability"] for row in answer.considered) == pytest.approx(0.75 * 0.9)
+
+
 def causes_of(stubs, hypotheses, sets, chosen=0, report=None, **probabilities):
     """Return the causes of sets with these probabilities; intervals hold the searched numbers of each effect."""
 

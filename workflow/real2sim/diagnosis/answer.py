@@ -232,13 +232,16 @@ def answer(
             decision = averaged(own, under_other, share, least, named)
     if machines:
         decision = with_others(decision, machines, options, named)
+    if otherwise is not None and other is not None:
+        # averaging over machines scales the probabilities under both states
+        scale = share / (1 - share) * _kept(decision, own) if share else 0.0
+        otherwise["named_probability"] = scale * _probability_of(named, other.attribution, under_other)
     progress(f"verdict {decision.verdict}")
     account = _Account(found, decision, settings, _configured(machines, found.pair), measured)
     result = account.diagnosis(otherwise)
     if misfit is not None and misfit.rival is not None:
-        # averaging over initial states and machines scales the probability of every set by this
-        kept = float(decision.sets.sum() / own.sets.sum())
-        result.considered.append(_rival(found.attribution, misfit.rival, found.pair.exchanged, kept))
+        rival = _rival(found.attribution, misfit.rival, found.pair.exchanged, _kept(decision, own))
+        result.considered.append(rival)
     result = account.with_more(result, misfit, measured, progress, imagine)
     result = replace(result, beyond=replace(result.beyond, machine=describe_machines(machines, options)))
     if not share or other is None:
@@ -344,6 +347,18 @@ def _otherwise(found: Found, decision: Decision, *, reverse: bool) -> dict[str, 
         "verdict_set": _verdict_set(attribution, decision),
         "probability": decision.probabilities[decision.verdict],
     } | {key: list(pair[::-1] if reverse else pair) for key, pair in pairs.items()}
+
+
+def _kept(decision: Decision, own: Decision) -> float:
+    """Return by what averaging over initial states and machines scales the probability of every set; 1 without one."""
+    before = float(own.sets.sum())
+    return float(decision.sets.sum()) / before if before else 1.0
+
+
+def _probability_of(names: Sequence[str], attribution: Attribution, decision: Decision) -> float:
+    """Return the probability under one initial state that these effects act and no others; 0 for no effects."""
+    each = zip(attribution.hypotheses, decision.sets, strict=True)
+    return float(sum(p for h, p in each if names and set(h.names) == set(names)))
 
 
 def _verdict_set(attribution: Attribution, decision: Decision) -> list[str]:

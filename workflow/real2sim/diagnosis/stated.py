@@ -22,9 +22,10 @@ def answer_probability(content: Mapping[str, Any]) -> float:
     """
     names, robot = content.get("verdict_set") or [content["verdict"]], other_robot(content)
     if len(names) > 1 or (robot is not None and names[0] not in ("none", "unknown")):
-        # forms and places of the set together; each entry counts for its initial state and its robot alone
+        # forms and places of the set together; each entry counts for the likelier initial state and its robot alone
         same = [row["probability"] for row in content["considered"] if set(row["effects"]) == set(names)]
-        probability = float(sum(p or 0.0 for p in same))
+        under_other = float((content.get("otherwise") or {}).get("named_probability", 0.0))
+        probability = float(sum(p or 0.0 for p in same)) + under_other
     else:
         probability = float(content["probabilities"][content["verdict"]])
     # averaging over robots leaves out those that were not searched to the end

@@ -14,7 +14,9 @@ import pytest
 import yaml
 from real2sim.artefacts import write_json
 from real2sim.configuration import validated
-from real2sim.effects.base import Placed
+from real2sim.diagnosis.free_form import Library
+from real2sim.diagnosis.search import Pair
+from real2sim.effects.base import InterfaceImpedance, Placed
 from real2sim.effects.catalogue import EFFECTS
 from real2sim.recording.ingest import ingest_subject
 from real2sim.recording.noise import Bands, NoiseModel, robot_noise
@@ -630,3 +632,31 @@ def test_nothing_of_the_library_imports_the_room_of_proofs():
             lines = [line.lstrip() for line in path.read_text().splitlines()]
             imports = [line for line in lines if line.startswith(("import real2sim", "from real2sim"))]
             assert not any("real2sim.verification" in line for line in imports), path
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_slopes_by_planned_forces_are_those_of_replays_for_a_robot_in_balance_too(written, tmp_path, settled):
+    evidence = _evidence(written, tmp_path)
+    evidence = evidence.as_settled() if settled else evidence
+    system = evidence.setup.system
+    library = Library(Pair(evidence, evidence.as_held_out(), system), 1.0)
+    terms = [t for t in library.terms.values() if t.joint in ("strap_tx", "strap_ry")][:8]
+    assert any(not t.powers for t in terms), "a constant force, which a robot in balance has taken up"
+    placed = library.columns_effect(terms)
+    parameters = system.values(sum(system.bounds()) / 2)[None]
+    replay = evidence.replay([placed], 1)
+    unit, step = np.eye(len(terms)), 0.02
+
+    def shown(row: np.ndarray) -> np.ndarray:
+        paths, joints = replay.run_effects(parameters, [row[None]])
+        return np.hstack([paths[0].reshape(len(paths[0]), -1), joints[0]])
+
+    by_replays = [(shown(step * row) - shown(-step * row)) / (2 * step) for row in unit]
+    shown(0 * unit[0])
+    linear = replay.linearised()
+    nothing = InterfaceImpedance(np.empty((0, 0)), np.empty((0, 0)))
+    forces = placed.effect.plant.force(unit, evidence.context, placed.where, nothing)
+    moved, turned = replay.response(linear, 0, forces)
+    for wanted, path, joints in zip(by_replays, moved, turned, strict=True):
+        found = np.hstack([path.reshape(len(path), -1), joints])
+        assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)

@@ -20,7 +20,7 @@ from real2sim.effects.input_basis import InputChain, InputChanges
 from real2sim.effects.seen import Unchained, chained, chained_slopes, simulations
 from real2sim.system.description import System, shipped_system
 from real2sim.system.drive import PelvisDrive, pelvis_drive
-from real2sim.system.linear import ForceResponse, Linearised
+from real2sim.system.linear import Balanced, ForceResponse, Linearised
 from real2sim.system.plant import RestPose, robot_pose_for
 from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 
@@ -30,6 +30,9 @@ from real2sim.system.replay import Replay, Simulated, StartPose, servo_command
 WINDOW_S = 0.02
 # What is recorded meanwhile
 _HEARD = ("sensordata", "qfrc_passive", "qfrc_constraint", "actuator_force")
+
+# Step by which the rest of a robot's spring is moved for its slope [m, rad]
+_REST_STEP = 1e-4
 
 
 class EffectReplay(FreeRuns, Replay):
@@ -254,6 +257,7 @@ class EffectReplay(FreeRuns, Replay):
         self._values, self._impedance = [v[first] for v in values], self._impedance_of(parameters[first])
         if self._sightings:
             self._see(len(first))
+        self._parameters = parameters[first][:1].copy()
         sensors = self._simulate(parameters[first])
         paths = self._samples(sensors)
         start = np.array([pose.joints for pose in self._sights or [self._start_pose]])[:, None]
@@ -488,13 +492,44 @@ class EffectReplay(FreeRuns, Replay):
 
         Something sticks, stops, answers the interface, stands at rest by forces or is seen from another frame.
         """
-        rough = self._frictional or self._stopped or self._settled or self._standing or self._laws
-        return None if self._sightings or rough else Linearised(self.as_simulated(), self.stride)
+        rough = self._frictional or self._stopped or self._standing or self._laws
+        if self._sightings or rough:
+            return None
+        return self._balanced() if self._settled else Linearised(self.as_simulated(), self.stride)
+
+    def _balanced(self) -> ForceResponse | None:
+        """As of `linearised`, of a robot whose controller holds where that balances forces at the start as well.
+
+        None where other springs than the robot's stand between floor and interface.
+        """
+        joints, _, dofs = self._chain
+        if not np.array_equal(joints, self._robot_joints):
+            return None
+        kept = self._beside[0].copy()
+        by_rest = []
+        for step in _REST_STEP * np.eye(len(joints)):
+            shown = []
+            for beside in (kept + step, kept - step):
+                self._beside[0] = beside
+                shown.append(self._simulate(self._parameters)[0, :: self.stride].copy())
+            by_rest.append((shown[0] - shown[1]) / (2 * _REST_STEP))
+        self._beside[0] = kept
+        # the last call's first simulation is the plain one again
+        self._simulate(self._parameters)
+        model = self._batch.get_model(0)
+        given = self._jacobian(model, self._began_at)
+        pull = np.zeros((model.nv, len(dofs)))
+        pull[dofs] = np.eye(len(dofs))
+        # how the strap's joints go where those of the robot move and the pelvis stays, as in `_settle`
+        pull[self._dofs] = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
+        linear = Linearised(self.as_simulated(), self.stride)
+        return Balanced(linear, model, np.array(by_rest), pull, model.jnt_stiffness[joints])
 
     @property
     def linearisation_cost(self) -> int:
         """Simulations that take as long as a linearisation: every other step, one either way by state and control."""
-        return int(2 * self.model.nv + self.model.na + self.model.nu)
+        resting = 2 * len(self._robot_joints) + 1 if self._settled else 0
+        return int(2 * self.model.nv + self.model.na + self.model.nu + resting)
 
     def response(
         self, linear: ForceResponse, effect: int, forces: np.ndarray

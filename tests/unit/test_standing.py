@@ -48,7 +48,8 @@ def check(positions, stated):
     rotation = lab_to_world(stated)
     world = {name: values @ rotation.T for name, values in positions.items()}
     pelvis = geometry.pelvis_frame(*(world[name] for name in geometry.PELVIS_MARKERS))
-    return check_standing(Path("neutral.tsv"), stated, rotation, pelvis, world["IF_L"] - world["IF_R"])
+    across = world["IF_L"] - world["IF_R"]
+    return check_standing(Path("neutral.tsv"), stated, rotation, pelvis, across, SETTINGS["facing_deg"])
 
 
 def line_of(text):
@@ -74,9 +75,25 @@ def test_the_line_of_the_message_is_the_labs(axes, tilt):
     assert not check(positions, axes)
 
 
-@pytest.mark.parametrize("heading", [-40, 40])
+@pytest.mark.parametrize("heading", [-12, 12])
 def test_who_stands_askew_faces_forward(heading):
     assert not check(standing(DEFAULT, heading_deg=heading), DEFAULT)
+
+
+@pytest.mark.parametrize(("heading", "side"), [(-40, "right"), (20, "left")])
+def test_a_frame_that_is_turned_by_less_than_half_a_quarter_is_reported(heading, side):
+    message = check(standing(DEFAULT, heading_deg=heading), DEFAULT)
+    assert f"faces {abs(heading)} deg to the {side}" in message
+    assert "calibrate Qualisys again" in message
+    # no names of axes mend it
+    assert "lab_to_world" not in message
+
+
+def test_a_frame_that_is_turned_by_more_has_its_line_and_what_is_left():
+    message = check(standing(DEFAULT, heading_deg=60), DEFAULT)
+    assert line_of(message) == {"x": "+y", "y": "-x", "z": "+z"}
+    assert "also calibrate" in message
+    assert "calibrate" not in check(standing(DEFAULT, heading_deg=95), DEFAULT)
 
 
 def exchanged(*pairs):

@@ -137,6 +137,7 @@ IngestSettings = TypedDict(
         "swap": IngestSwapSettings,
         "markerless": IngestMarkerlessSettings,
         "robot_log": IngestRobotLogSettings,
+        "facing_deg": float,
         "lab_to_world": IngestLabToWorldSettings,
     },
 )

@@ -915,7 +915,7 @@ def _check_standing(
     stated = work.settings["lab_to_world"]
     sides = [positions[name] for name in geometry.INTERFACE_MARKERS if name in positions]
     across = sides[0] - sides[1] if len(sides) == 2 else None
-    odd = check_standing(work.tsv, stated, lab_to_world(stated), pelvis, across)
+    odd = check_standing(work.tsv, stated, lab_to_world(stated), pelvis, across, work.settings["facing_deg"])
     if odd:
         work.note("facing", "warning", work.tsv, "", odd, "used as stated")
 

@@ -52,6 +52,7 @@ def check_standing(
     lab: np.ndarray,
     pelvis: tuple[np.ndarray, np.ndarray],
     across: np.ndarray | None,
+    facing_deg: float,
 ) -> str:
     """Refuse a neutral trial whose up axis is another than stated, or whose left and right are exchanged.
 
@@ -65,6 +66,9 @@ def check_standing(
         Rotation (n, 3, 3) and origin (n, 3) [m] of the pelvis in the world as stated.
     across
         (n, 3) from IF_R to IF_L [m] in the world as stated; None without them.
+    facing_deg
+        ``ingest.facing_deg``: angle [deg] between the person's mean heading and the world's x axis up to which the
+        frame is taken for right.
 
     Returns what is odd about where the person faces, empty where they face along the world's x axis.
     Raises InputError (`lab_axes`, `sides`).
@@ -84,11 +88,28 @@ def check_standing(
         found = "IF_L on the right of the pelvis and IF_R on its left"
         remedy = "exchange IF_L and IF_R in QTM or under markers: in subject.yaml"
         raise InputError(path, "IF_L, IF_R", found, "IF_L on the side of ASIS_L", remedy, "sides")
-    facing = signed_axis(rotation[:, 0], without="+z")
-    if facing == "+x":
+    return _odd_heading(stated, lab, rotation[:, 0], facing_deg)
+
+
+def _odd_heading(stated: Mapping[str, Any], lab: np.ndarray, forward: np.ndarray, most_deg: float) -> str:
+    """Return what is odd about a person's forward direction (3,) in the world; empty up to an angle ``most_deg``.
+
+    Names of axes mend quarter turns only. What is left of the angle is an L-frame that does not lie along the robot.
+    """
+    heading = float(np.degrees(np.arctan2(forward[1], forward[0])))
+    if abs(heading) <= most_deg:
         return ""
-    line = as_line(lab_axes(str(stated["z"]), lab.T @ rotation[:, 0]))
-    return f"the person faces along world {facing}; if the robot heads there, set ingest: {line}"
+    side = "left" if heading > 0 else "right"
+    found = f"the person faces {abs(heading):.0f} deg to the {side} of the world's x axis; if the robot heads there"
+    line = as_line(lab_axes(str(stated["z"]), lab.T @ forward))
+    left = (heading + 45) % 90 - 45
+    parts = [f"set ingest: {line}"] if abs(heading) > 45 else []
+    if abs(left) > most_deg:
+        rest = "also " if parts else ""
+        parts.append(
+            f"{rest}calibrate Qualisys again with the L-frame along the robot, because stiffness along x and y is mixed"
+        )
+    return f"{found}, {'; '.join(parts)}"
 
 
 def _refuse_axes(path: Path, stated: Mapping[str, Any], pelvis: np.ndarray, place: np.ndarray) -> None:

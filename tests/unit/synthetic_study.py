@@ -90,6 +90,7 @@ def _tightness(folder: Path, people: list[str], phantom: bool) -> tuple[Path, li
 
 def _gates(path: Path, people: list[str], phantom: bool) -> Path:
     about = {"gate": "gaps", "unit": "s", "key": "quality.gaps", "remedy": REMEDY, "phantom": phantom}
+    about |= {"source": "gate"}
     rows = [
         {
             "subject": name,
@@ -103,6 +104,19 @@ def _gates(path: Path, people: list[str], phantom: bool) -> Path:
         for i, (trial, verdict) in enumerate(
             (("neutral", "pass"), ("dynamic_1", "warn"), ("dynamic_2", "refuse")), start=0
         )
+    ]
+    rows += [
+        {
+            "subject": people[0],
+            "trial": "neutral",
+            "source": "finding",
+            "gate": "facing",
+            "verdict": "warn",
+            "message": "neutral.tsv: the person faces 40 deg to the <left>",
+            "remedy": "used as stated",
+            "overridden": False,
+            "phantom": phantom,
+        }
     ]
     write_table(path, QUALITY_COLUMNS, rows)
     return path

@@ -124,6 +124,23 @@ def test_refused_trial_is_held_back_unless_overridden_by_name(few, tmp_path):
     assert (tmp_path / "gates.png").stat().st_size > 10_000
 
 
+def test_warnings_of_the_files_are_in_the_table_and_the_log(few, tmp_path, capsys):
+    settings = SETTINGS | {"ingest": SETTINGS["ingest"] | {"facing_deg": 1e-3}}
+    quality_subject(subject="S01", folder=few / "raw" / "S01", settings=settings, raw=[], out=tmp_path)
+    assert "facing: neutral.tsv: the person faces" in capsys.readouterr().out
+    quality_table(gates=[tmp_path / "gates.json"], settings=CONFIG["quality"], out=tmp_path / "quality.csv")
+    rows = [row for row in read_table(tmp_path / "quality.csv") if row["source"] == "finding"]
+    [row] = [row for row in rows if row["gate"] == "facing"]
+    assert (row["trial"], row["verdict"]) == ("neutral", "warn")
+    assert "the person faces" in row["message"]
+    assert row["remedy"] == "used as stated"
+    # a line for each code of a trial, however many markers have it
+    assert len({(row["trial"], row["gate"]) for row in rows}) == len(rows)
+    # a warning of a file is no gate
+    assert read_json(tmp_path / "neutral.json")["verdict"] == "pass"
+    quality_figure(gates=tmp_path / "gates.json", out=[tmp_path / "gates.png"])
+
+
 def _copied(few, tmp_path):
     """Folder of a copy of the raw files of the person with few trials."""
     return shutil.copytree(few / "raw" / "S01", tmp_path / "x" / "raw" / "S01")

@@ -121,7 +121,8 @@ def _page_of(
     (folder / "subject.yaml").write_text(SUBJECT)
     (folder / "interface.xml").write_text("<mujoco/>\n")
     gate = {"gate": "spikes", "verdict": "warn", "message": "2 <spikes>", "remedy": "mend them"}
-    trials = {"neutral": {"verdict": "warn", "override": None, "gates": [gate]}}
+    finding = {"code": "facing", "message": "neutral.tsv: 40 deg to the <left>", "action": "used as stated"}
+    trials = {"neutral": {"verdict": "warn", "override": None, "gates": [gate], "findings": [finding]}}
     write_json(folder / "gates.json", {"trials": trials})
     write_json(folder / "S07.json", refined)
     write_json(
@@ -187,6 +188,8 @@ def test_page_is_whole_and_loads_nothing(whole):
 def test_everything_about_the_person_is_told(whole):
     _, page, _ = whole
     assert "2 of 12 parameters are refined on 2 dynamic trials together" in page.text
+    assert "facing" in page.text
+    assert "neutral.tsv: 40 deg to the <left>" in page.text
     assert "2 <spikes>" in page.text
     assert "The knee of the sweep lies at 10.2 cm" in page.text
     assert "J is 2.5 % above a full calibration's with 7.9 % of the evaluations" in page.text

@@ -58,6 +58,8 @@ def test_page_is_whole_and_loads_nothing(report):
     assert page.headings[0] == 1
     assert page.headings.count(1) == 1
     assert page.wordless == 0
+    assert "1 warning from reading the files" in page.text
+    assert "the person faces 40 deg to the <left>" in page.text
     assert "Study <one> & all" in page.text
     # a character that was escaped twice would be read as its code
     assert not re.search(r"&(#?\w+);", page.text)

@@ -144,7 +144,7 @@ def test_a_lab_with_y_up_and_no_robot_log_is_refused_with_its_line(person):
     run(SETTINGS | {"lab_to_world": axes})
 
 
-def test_a_person_who_faces_sideways_is_reported(person):
+def test_a_person_who_faces_sideways_is_reported(person, capsys):
     folder, run = person
     axes = {"x": "+y", "y": "-x", "z": "+z"}
     for name in ("neutral", "dynamic_1"):
@@ -153,6 +153,7 @@ def test_a_person_who_faces_sideways_is_reported(person):
         )
     [finding] = [f for f in run()["findings"] if f["code"] == "facing"]
     assert line_of(finding["message"]) == axes
+    assert f"  facing: neutral.tsv: {finding['message']}; used as stated" in capsys.readouterr().out
     assert "facing" not in [f["code"] for f in run(SETTINGS | {"lab_to_world": axes})["findings"]]
 
 

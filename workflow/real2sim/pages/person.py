@@ -35,6 +35,7 @@ from real2sim.pages.page import (
     table,
     verdict,
 )
+from real2sim.pages.quality import warnings_of_files
 from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, worst
 from real2sim.study.refinement import OK
 from real2sim.study.step_study import BY_HAND
@@ -224,13 +225,14 @@ def _quality(study: Person) -> str:
         else ""
     )
     grave = worst(about["verdict"] for about in trials.values())
-    return section(
-        "quality",
-        "Quality of the recordings",
-        f"<p>{verdict(grave)}. {escape(text)}</p>",
-        paragraph(found) if found else "",
-        detail,
-    )
+    warned = [
+        (name, f["code"], f["message"], f["action"])
+        for name, about in trials.items()
+        for f in about["findings"]
+    ]
+    summary = f"<p>{verdict(grave)}. {escape(text)}</p>"
+    plain = paragraph(found) if found else ""
+    return section("quality", "Quality of the recordings", summary, plain, detail, warnings_of_files(warned))
 
 
 def _tightness(study: Person) -> str:

@@ -1,8 +1,10 @@
-"""One picture per person: which trial passes which gate, and the figures that matter most."""
+"""One picture per person: which trial passes which gate, and the figures that matter most; warnings of files."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from real2sim.artefacts import read_json
 from real2sim.pages import style
+from real2sim.pages.page import folded, table
 
 _FACES = {"pass": "#CFE8F7", "warn": style.ORANGE, "refuse": style.VERMILION}
 _INK = {"pass": "#1a1a1a", "warn": "#1a1a1a", "refuse": "#ffffff"}
@@ -109,4 +112,22 @@ def _key_figures(content: dict[str, Any]) -> list[str]:
         lines.append(text if len(text) <= 2 * _LINE_CHARACTERS else text[: 2 * _LINE_CHARACTERS - 3] + "...")
     if len(graver) > 4:
         lines.append(f"and {len(graver) - 4} more: quality.csv")
+    codes = [finding["code"] for about in content["trials"].values() for finding in about["findings"]]
+    if codes:
+        listed = ", ".join(sorted(set(codes)))
+        lines.append(f"Warnings that reading the files gave: {listed} (quality.csv says where)")
     return lines
+
+
+def warnings_of_files(found: Sequence[tuple[str, str, str, str]]) -> str:
+    """Return markup of the warnings that reading the files gave: trial, code, message and action of each."""
+    if not found:
+        return ""
+    caption = (
+        "Every warning that reading the files gave, one line per trial and code. No verdict depends on them: what was "
+        "done stands beside each"
+    )
+    rows = [[escape(cell) for cell in row] for row in found]
+    detail = table(["Trial", "Code", "What was found", "What was done"], rows, caption=caption)
+    word = "warning" if len(found) == 1 else "warnings"
+    return folded(f"{len(found)} {word} from reading the files", detail, unfolded=len(found) <= 12)

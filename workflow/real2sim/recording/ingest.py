@@ -18,6 +18,7 @@ from real2sim.errors import InputError
 from real2sim.files import replacing
 from real2sim.provenance import sha256
 from real2sim.recording import alignment, missing_marker, units
+from real2sim.recording.findings import warnings_by_code
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translation
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
@@ -946,13 +947,7 @@ def ingest_subject(
         )
         absent &= set(quality["names_absent"])
         exchanged += [f["place"] for f in quality["findings"] if f["code"] == "marker_swap_whole"]
-        warnings = sum(finding["severity"] != "info" for finding in quality["findings"])
-        markerless = quality["markerless"]
-        print(
-            f"{subject} {trial}: {quality['duration_s']:.1f} s, {warnings} warnings, "
-            f"markerless {1e3 * markerless['rms_m']:.1f} mm, robot: {quality['robot']['status']}",
-            flush=True,
-        )
+        _print_trial(quality)
     for trial, reason in person.exclude.items():
         print(f"{subject} {trial}: excluded ({reason})", flush=True)
     _check_neutral(person.trials, exchanged)
@@ -962,6 +957,17 @@ def ingest_subject(
         raise InputError(
             folder / SUBJECT_FILE, "key markers", found, "names of the recordings", remedy, "marker_source"
         )
+
+
+def _print_trial(quality: dict[str, Any]) -> None:
+    """Print what became of a trial, and each warning that reading its files gave."""
+    warnings = sum(finding["severity"] != "info" for finding in quality["findings"])
+    line = (
+        f"{quality['subject']} {quality['trial']}: {quality['duration_s']:.1f} s, {warnings} warnings, "
+        f"markerless {1e3 * quality['markerless']['rms_m']:.1f} mm, robot: {quality['robot']['status']}"
+    )
+    told = [f"  {w['code']}: {w['message']}; {w['action']}" for w in warnings_by_code(quality["findings"])]
+    print("\n".join([line, *told]), flush=True)
 
 
 def _check_neutral(trials: dict[str, TrialFiles], exchanged: list[str]) -> None:

@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 from real2sim.pages.page import folded, paragraph, rounded, section, table, verdict
+from real2sim.pages.quality import warnings_of_files
 from real2sim.pages.report.parts import (
     DASH,
     by_subject,
@@ -77,7 +78,7 @@ def cohort_section(study: Study) -> str:
 
 
 def gates_section(study: Study) -> str:
-    """Warnings and refusals of the gates."""
+    """Warnings and refusals of the gates, and warnings that reading the files gave."""
     counts = verdicts_of_people(study)
     rows = [
         [escape(name), *(str(counts[name][verdict]) for verdict in (PASS, WARN, REFUSE))]
@@ -90,7 +91,14 @@ def gates_section(study: Study) -> str:
         numeric=(1, 2, 3),
     )
     summary = one_by_one(study, markup)
-    found = [row for row in study.quality.rows if row["verdict"] != PASS]
+    found = [row for row in study.quality.rows if row["verdict"] != PASS and row["source"] == "gate"]
+    files = warnings_of_files(
+        [
+            (f"{row['subject']} {row['trial']}", row["gate"], row["message"], row["remedy"])
+            for row in study.quality.rows
+            if row["source"] == "finding"
+        ]
+    )
     listed = [
         [
             escape(f"{row['subject']} {row['trial']}"),
@@ -107,6 +115,7 @@ def gates_section(study: Study) -> str:
             "Quality of the recordings",
             summary,
             paragraph("No gate warns or refuses."),
+            files,
             downloads(study.quality),
         )
     detail = table(
@@ -115,7 +124,7 @@ def gates_section(study: Study) -> str:
         caption="Every warning and refusal. A refused trial stops its fit unless it is overridden by name",
     )
     body = folded(f"{len(listed)} warnings and refusals", detail, unfolded=len(listed) <= 12)
-    return section("quality", "Quality of the recordings", summary, body, downloads(study.quality))
+    return section("quality", "Quality of the recordings", summary, body, files, downloads(study.quality))
 
 
 def tightness_section(study: Study) -> str:

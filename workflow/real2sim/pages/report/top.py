@@ -84,6 +84,8 @@ def _trials(study: Study) -> dict[tuple[str, str], str]:
     """Gravest verdict of the gates on each trial."""
     found: dict[tuple[str, str], list[str]] = {}
     for row in study.quality.rows:
+        if row["source"] != "gate":
+            continue
         found.setdefault((row["subject"], row["trial"]), []).append(row["verdict"])
     return {key: worst(verdicts) for key, verdicts in found.items()}
 

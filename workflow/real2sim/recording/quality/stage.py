@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -14,6 +14,7 @@ from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
 from real2sim.provenance import sha256
+from real2sim.recording.findings import warnings_by_code
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.recordings import CoordinateRecording
 from real2sim.recording.ingest import ingest_trial, lab_to_world
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 COLUMNS = (
     "subject",
     "trial",
+    "source",
     "gate",
     "verdict",
     "value",
@@ -95,12 +97,18 @@ def _readable() -> Gate:
     return Gate("readable", PASS, None, "", None, "all files of the trial can be read and used", "")
 
 
-def _tables(
-    person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial]
-) -> tuple[dict[str, np.ndarray], dict[str, InputError]]:
-    """Interface coordinates (n, 6) per trial as the fits will see them, and what ingest refuses."""
-    q: dict[str, np.ndarray] = {}
-    refused: dict[str, InputError] = {}
+@dataclass
+class _Ingested:
+    """Trials as the fits will see them: interface coordinates (n, 6), what ingest refuses, what it warns about."""
+
+    q: dict[str, np.ndarray]
+    refused: dict[str, InputError]
+    warnings: dict[str, list[dict[str, str]]]
+
+
+def _tables(person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial]) -> _Ingested:
+    """Read each trial as ingest does; its tables are thrown away."""
+    out = _Ingested({}, {}, {})
     with tempfile.TemporaryDirectory() as scratch:
         neutral = Path(scratch) / "neutral" / "quality.json"
         for name in sorted(person.trials, key=lambda trial: (trial != "neutral", trial)):
@@ -108,7 +116,7 @@ def _tables(
             if name != "neutral" and not neutral.exists():
                 continue
             try:
-                ingest_trial(
+                quality = ingest_trial(
                     subject=person.id,
                     trial=name,
                     files=person.trials[name],
@@ -120,8 +128,9 @@ def _tables(
                     log=raw[name].log if name in raw else None,
                 )
             except InputError as error:
-                refused[name] = error
+                out.refused[name] = error
                 continue
+            out.warnings[name] = warnings_by_code(quality["findings"])
             if parse_trial(name)[0] not in ("dynamic", "rotation", "translation"):
                 continue
             try:
@@ -129,10 +138,10 @@ def _tables(
             except InputError as error:
                 # the table is gone when somebody reads the verdict: the recording is what can be looked at
                 about = error.place, error.found, error.expected, error.remedy, error.code
-                refused[name] = InputError(person.trials[name].markers, *about)
+                out.refused[name] = InputError(person.trials[name].markers, *about)
                 continue
-            q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
-    return q, refused
+            out.q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
+    return out
 
 
 def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
@@ -165,7 +174,8 @@ def quality_subject(
     limits, ingest = settings["quality"], settings["ingest"]
     overrides = _overrides(person, limits["override"])
     recorded, unreadable = _read_all(person, ingest)
-    q, refused = _tables(person, ingest, recorded)
+    ingested = _tables(person, ingest, recorded)
+    q, refused = ingested.q, ingested.refused
     whole = {name: trial for name, trial in recorded.items() if not _is_too_short(refused.get(name))}
     measured, signatures = _measure_all(person, whole, limits, ingest)
     session = session_of(list(measured.values()))
@@ -175,21 +185,16 @@ def quality_subject(
         error = unreadable.get(name, refused.get(name))
         gates = [_unreadable(error) if error is not None else _readable()]
         if name in measured:
-            gates += judge(
-                measured[name],
-                session,
-                limits,
-                ingest,
-                scales=settings["scales"],
-                q=q.get(name),
-                limits=bounds,
-            )
+            scales, own = settings["scales"], q.get(name)
+            gates += judge(measured[name], session, limits, ingest, scales=scales, q=own, limits=bounds)
         about = {"schema": 1, "subject": subject, "trial": name, "phantom": person.phantom}
-        verdict = _write_verdict(out / f"{name}.json", about, gates, overrides.get(name))
+        warnings = ingested.warnings.get(name, [])
+        verdict = _write_verdict(out / f"{name}.json", about, gates, overrides.get(name), warnings)
         trials[name] = {
             "verdict": verdict,
             "override": overrides.get(name),
             "gates": [{"gate": g.gate, "trial": name} | asdict(g) for g in gates],
+            "findings": warnings,
             "signature": signatures[name].packed() if name in signatures else None,
         }
     write_json(
@@ -207,8 +212,10 @@ def quality_subject(
     )
 
 
-def _write_verdict(path: Path, about: dict[str, Any], gates: list[Gate], override: str | None) -> str:
-    """Write and print the verdict of one trial, and return it."""
+def _write_verdict(
+    path: Path, about: dict[str, Any], gates: list[Gate], override: str | None, warnings: list[dict[str, str]]
+) -> str:
+    """Write and print the verdict of one trial, and return it; ``warnings`` of its files are printed alone."""
     verdict = worst(gate.verdict for gate in gates)
     # only what a fit depends on: the figures of gates.json move when another trial is added
     stopped = [
@@ -218,7 +225,8 @@ def _write_verdict(path: Path, about: dict[str, Any], gates: list[Gate], overrid
     write_json(path, about | {"verdict": verdict, "refused": stopped, "warned": warned, "override": override})
     print(
         f"{about['subject']} {about['trial']}: {verdict}"
-        + "".join(f"\n  {s['gate']}: {s['message']}" for s in stopped),
+        + "".join(f"\n  {s['gate']}: {s['message']}" for s in stopped)
+        + "".join(f"\n  {w['code']}: {w['message']}; {w['action']}" for w in warnings),
         flush=True,
     )
     return verdict
@@ -309,7 +317,10 @@ def _session(session: Session) -> dict[str, Any]:
 
 
 def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) -> None:
-    """One row per person, trial and gate; ``settings`` is the slice ``quality``.
+    """One row per person, trial and gate, or code of a warning; ``settings`` is the slice ``quality``.
+
+    The column ``source`` is ``gate``, or ``finding`` where the row is a warning that reading the files gave: ``gate``
+    then holds its code (docs/quality-codes.md) and ``remedy`` what was done. No verdict of a trial depends on those.
 
     Raises InputError where the configuration overrides a person that is not there, or where trials of two people are
     the same recording and neither is overridden.
@@ -332,6 +343,7 @@ def quality_table(*, gates: list[Path], settings: QualitySettings, out: Path) ->
             rows += [
                 _table_row(gate, overridden=about["override"] is not None) | about_trial for gate in found
             ]
+            rows += [_finding_row(finding) | about_trial for finding in about.get("findings", [])]
     write_table(out, COLUMNS, rows)
 
 
@@ -339,11 +351,24 @@ def _table_row(gate: dict[str, Any], *, overridden: bool) -> dict[str, Any]:
     low, high = gate["interval"] or (None, None)
     warn, refuse = gate["threshold"] or (None, None)
     return gate | {
+        "source": "gate",
         "interval_low": low,
         "interval_high": high,
         "warn": warn,
         "refuse": refuse,
         "overridden": gate["verdict"] == REFUSE and overridden,
+    }
+
+
+def _finding_row(finding: dict[str, str]) -> dict[str, Any]:
+    """Row of a warning that reading the files gave."""
+    return {
+        "source": "finding",
+        "gate": finding["code"],
+        "verdict": WARN,
+        "message": finding["message"],
+        "remedy": finding["action"],
+        "overridden": False,
     }
 
 

@@ -11,17 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gate_person import CONFIG, SETTINGS, simulate_person
+from handmade_person import PELVIS
 from real2sim import signals
 from real2sim.artefacts import read_json, read_table, write_json
 from real2sim.errors import InputError
+from real2sim.recording import alignment
 from real2sim.recording.formats import qualisys
 from real2sim.recording.formats.recordings import Length, MarkerRecording
 from real2sim.recording.quality import clocks, identity, measure, pairing, sameness, scale
-from real2sim.recording.quality.stage import quality_subject, quality_table
+from real2sim.recording.quality.stage import quality_subject, quality_table, raw_trial
+from real2sim.recording.subjects import read_subject
 from scipy.signal import butter, filtfilt, lfilter
 
 from benchmarks import faults
 from benchmarks.mistaken_files import MISTAKES, Lab
+from tests.fuzz import seeds
 
 SAME = CONFIG["quality"]["same"]
 
@@ -197,6 +201,51 @@ def test_file_of_another_motion_is_not_laid_on_the_markers(person):
         (other.coordinates, False),
     ):
         assert (measure.lay_file(suspect, file) is not None) == found
+
+
+# -------------------- landmarks in the place of coordinates
+
+
+def _with_landmarks(person, name, of="", factor=1.0):
+    """The trial with a markerless export of landmarks: of ``of``, where that is given, and ``factor`` times as long."""
+    trial, other = person.raw[name], person.raw[of or name]
+    rotation, position = alignment.pelvis_of_coordinates(other.coordinates.columns)
+    points = {
+        marker: factor * (position + rotation @ np.array(place)) @ alignment.OPENSIM_TO_WORLD
+        for marker, place in PELVIS.items()
+    }
+    landmarks = MarkerRecording(other.coordinates.time_s, 60.0, points, length=Length(500, 400))
+    return replace(trial, coordinates=None, landmarks=landmarks)
+
+
+def test_gates_judge_landmarks_as_they_judge_coordinates(person):
+    plain = faults._judged(person, person.raw["dynamic_1"])[1]
+    gates = faults._judged(person, _with_landmarks(person, "dynamic_1"))[1]
+    assert set(gates) == set(plain)
+    for name in ("markerless_sync", "markerless_residual", "markerless_pair", "scale"):
+        assert gates[name].verdict == plain[name].verdict == "pass"
+        assert gates[name].value == pytest.approx(plain[name].value, rel=0.05)
+    assert "markerless: the header declares 500 rows" in gates["length"].message
+
+
+def test_landmarks_of_another_trial_and_of_another_scale_are_refused(person):
+    wrong = _with_landmarks(person, "dynamic_1", of="translation_T10")
+    assert faults._judged(person, wrong)[1]["markerless_pair"].verdict == "refuse"
+    gate = faults._judged(person, _with_landmarks(person, "translation_T10", factor=1.2))[1]["scale"]
+    assert gate.verdict == "refuse"
+    assert "off those of the markerless system" in gate.message
+
+
+def test_the_stage_lays_landmarks_on_the_markers(person, folder, tmp_path):
+    files = read_subject(folder / "raw" / "S01").trials["dynamic_1"]
+    points = _with_landmarks(person, "dynamic_1").landmarks.positions
+    named = {f"my {name}": values for name, values in points.items()}
+    path = tmp_path / "dynamic_1.trc"
+    path.write_text(seeds.trc_text(named, rate=60))
+    names = {f"my {name}": name for name in points}
+    trial = raw_trial("dynamic_1", replace(files, markerless=path), names, CONFIG["ingest"])
+    assert trial.coordinates is None
+    assert faults._judged(person, trial)[1]["markerless_pair"].value < 0.2
 
 
 # -------------------- copies

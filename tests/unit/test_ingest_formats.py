@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from handmade_person import SETTINGS, write_person
+from real2sim.errors import InputError
 from real2sim.recording import alignment
 from real2sim.recording.formats.opensim import read_coordinates
 from real2sim.recording.formats.qualisys import read_markers
@@ -70,23 +71,46 @@ def test_coordinates_in_radians(folder, plain, tmp_path):
         np.testing.assert_allclose(read["joints"][name], values, atol=1e-9)
 
 
+PLACES = {
+    "ASIS_L": (0, 0.12, 0),
+    "ASIS_R": (0, -0.12, 0),
+    "PSIS_L": (-0.15, 0.05, 0),
+    "PSIS_R": (-0.15, -0.05, 0),
+    "my knee": (0.0, 0.1, -0.4),
+}
+
+
+def landmarks_of(path):
+    """Landmarks (n, 3) [m] in OpenSim's axes, fixed to the pelvis of an export of coordinates."""
+    recording = read_coordinates(path)
+    rotation, position = alignment.pelvis_of_coordinates(recording.columns)
+    return {
+        name: (position + rotation @ np.array(place, float)) @ alignment.OPENSIM_TO_WORLD
+        for name, place in PLACES.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("unit", "found"), [("m", "millimetres in a file of metres"), ("mm", "metres in a file of m")]
+)
+def test_landmarks_in_another_unit_than_the_header_says(folder, tmp_path, unit, found):
+    path = folder / f"{TRIAL}.mot"
+    ground = landmarks_of(path)
+    path.unlink()
+    # seeds writes millimetres
+    written = ground if unit == "m" else {name: values / 1000 for name, values in ground.items()}
+    text = seeds.trc_text(written, unit, rate=60)
+    path.with_suffix(".trc").write_text(text)
+    with pytest.raises(InputError, match=found) as caught:
+        tables(folder, tmp_path / "out")
+    assert (caught.value.code, caught.value.path.name) == ("units_contradicted", f"{TRIAL}.trc")
+
+
 def test_landmarks(folder, plain, tmp_path):
     """Landmarks of the pelvis are enough to synchronise by; what is there is kept, as positions."""
     path = folder / f"{TRIAL}.mot"
-    recording = read_coordinates(path)
+    ground = landmarks_of(path)
     path.unlink()
-    rotation, position = alignment.pelvis_of_coordinates(recording.columns)
-    places = {
-        "ASIS_L": (0, 0.12, 0),
-        "ASIS_R": (0, -0.12, 0),
-        "PSIS_L": (-0.15, 0.05, 0),
-        "PSIS_R": (-0.15, -0.05, 0),
-    }
-    places["my knee"] = (0.0, 0.1, -0.4)
-    ground = {
-        name: (position + rotation @ np.array(place, float)) @ alignment.OPENSIM_TO_WORLD
-        for name, place in places.items()
-    }
     text = seeds.trc_text(ground, rate=60)
     path.with_suffix(".trc").write_text(text)
     read, quality = tables(folder, tmp_path / "out")
@@ -94,7 +118,7 @@ def test_landmarks(folder, plain, tmp_path):
     assert report["kind"] == "landmarks"
     assert report["offset_s"] == pytest.approx(plain[1]["markerless"]["offset_s"], abs=1e-3)
     assert report["rms_m"] < 1e-3
-    assert set(read["joints"]) == {"time_s", *(f"{name}_{axis}" for name in places for axis in "xyz")}
+    assert set(read["joints"]) == {"time_s", *(f"{name}_{axis}" for name in PLACES for axis in "xyz")}
     middle = (read["joints"]["ASIS_L_y"] + read["joints"]["ASIS_R_y"]) / 2
     np.testing.assert_allclose(middle, plain[0]["joints"]["pelvis_ty"], atol=1e-3)
 

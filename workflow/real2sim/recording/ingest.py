@@ -24,6 +24,7 @@ from real2sim.recording.formats.opensim import PELVIS_COORDINATES, is_translatio
 from real2sim.recording.formats.recordings import CoordinateRecording, Finding, MarkerRecording, RobotLog
 from real2sim.recording.formats.robot_log import ARM_JOINTS
 from real2sim.recording.formats.stamps import large_delays
+from real2sim.recording.landmarks import missing_of_pelvis, name_landmarks, pelvis_of_landmarks
 from real2sim.recording.quality import markers
 from real2sim.recording.standing import check_standing
 from real2sim.recording.subjects import SUBJECT_FILE, TrialFiles, parse_trial, read_subject
@@ -330,12 +331,14 @@ def _joints(
         units.check_kinds(trial.mot, recording)
         units.check_angles(trial.mot, recording, trial.settings["units"])
         kind, columns, pelvis = "coordinates", recording.columns, _coordinate_pelvis(trial, recording)
-        ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
-        units.check_thousands(trial.mot, recording, ours, pelvis, trial.settings["units"])
-        units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     else:
         kind = "landmarks"
         columns, pelvis = _landmarks(trial, recording, marker_names)
+    ours = alignment.PelvisPath(clock, r_pelvis, p_pelvis)
+    units.check_thousands(trial.mot, ours, pelvis, trial.settings["units"], landmarks=kind == "landmarks")
+    if isinstance(recording, CoordinateRecording):
+        # landmarks have no angles that could be in another unit
+        units.check_pelvis(trial.mot, recording, ours, pelvis, trial.settings["units"])
     time_fit, space_fit, drift = _fit_markerless(trial, clock, r_pelvis, p_pelvis, pelvis)
     synchronised = drift is not None
     lengths = (
@@ -412,14 +415,8 @@ def _landmarks(
 ) -> tuple[dict[str, np.ndarray], alignment.PelvisPath]:
     """Columns ``<landmark>_x/_y/_z`` [m, as in the file], and the pelvis of its four landmarks, z up."""
     trial.absent -= recording.positions.keys()
-    points: dict[str, np.ndarray] = {}
-    for lab, values in recording.positions.items():
-        ours = marker_names.get(lab, lab)
-        if ours in points:
-            remedy = "correct markers: in subject.yaml"
-            raise InputError(trial.mot, "names", f"two landmarks that are {ours}", "one", remedy, "names")
-        points[ours], _ = signals.fill_gaps(values, recording.rate_hz, trial.settings["max_gap_s"])
-    missing = [name for name in geometry.PELVIS_MARKERS if name not in points]
+    points = name_landmarks(trial.mot, recording, marker_names, trial.settings["max_gap_s"])
+    missing = missing_of_pelvis(points)
     if missing:
         found = f"landmarks {', '.join(list(points)[:8])}, ..."
         remedy = (
@@ -427,13 +424,11 @@ def _landmarks(
         )
         expected = "the four of the pelvis, to synchronise by"
         raise InputError(trial.mot, ", ".join(missing), found, expected, remedy, "column_missing")
-    to_world = alignment.OPENSIM_TO_WORLD.T
-    pelvis = geometry.pelvis_frame(*(points[name] @ to_world for name in geometry.PELVIS_MARKERS))
     trial.note(
         "landmarks", "info", trial.mot, "", f"{len(points)} landmarks, no coordinates", "kept as positions"
     )
     columns = {f"{name}_{axis}": v[:, i] for name, v in points.items() for i, axis in enumerate(_XYZ)}
-    return columns, alignment.PelvisPath(recording.time_s, *pelvis)
+    return columns, pelvis_of_landmarks(recording.time_s, points)
 
 
 def _fit_markerless(

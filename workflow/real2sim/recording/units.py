@@ -53,25 +53,31 @@ def check_angles(path: Path, recording: CoordinateRecording, settings: IngestUni
 
 def check_thousands(
     path: Path,
-    recording: CoordinateRecording,
     ours: PelvisPath,
     other: PelvisPath,
     settings: IngestUnitsSettings,
+    *,
+    landmarks: bool,
 ) -> None:
-    """Refuse times in milliseconds and translations in millimetres, by the clock and the pelvis of the markers.
+    """Refuse times in milliseconds and lengths in another unit, by the clock and the pelvis of the markers.
 
-    ``ours`` is the pelvis of the markers, ``other`` that of the coordinates; each on its own clock.
+    ``ours`` is the pelvis of the markers, ``other`` that of the coordinates or ``landmarks``; each on its own clock.
     """
-    lasts, ours_lasts = float(np.ptp(recording.time_s)), float(np.ptp(ours.time_s))
+    lasts, ours_lasts = float(np.ptp(other.time_s)), float(np.ptp(ours.time_s))
     if _is_thousand(lasts, ours_lasts, settings):
-        found = f"{lasts:.4g} s of coordinates beside {ours_lasts:.4g} s of markers: milliseconds?"
+        what = "landmarks" if landmarks else "coordinates"
+        found = f"{lasts:.4g} s of {what} beside {ours_lasts:.4g} s of markers: milliseconds?"
         remedy = "export the times in seconds"
         raise InputError(path, "column time", found, "times in seconds", remedy, "units_contradicted")
     travelled, ours_travelled = _travelled(other.position), _travelled(ours.position)
-    if _is_thousand(travelled, ours_travelled, settings):
-        found = (
-            f"a pelvis that travels by {travelled:.3g} m (RMS), and by {ours_travelled:.3g} m in the markers"
-        )
+    found = f"a pelvis that travels by {travelled:.3g} m (RMS), and by {ours_travelled:.3g} m in the markers"
+    larger = _is_thousand(travelled, ours_travelled, settings)
+    if landmarks and (larger or _is_thousand(ours_travelled, travelled, settings)):
+        found += ": millimetres in a file of metres?" if larger else ": metres in a file of millimetres?"
+        remedy = "write the true unit under Units in the header, or export the landmarks again"
+        expected = "landmarks in the unit that the header says"
+        raise InputError(path, "key Units", found, expected, remedy, "units_contradicted")
+    if larger:
         remedy = "export the translations in metres"
         raise InputError(
             path, "pelvis", f"{found}: millimetres?", "translations in metres", remedy, "units_contradicted"

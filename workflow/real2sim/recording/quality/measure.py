@@ -15,6 +15,7 @@ from real2sim import geometry, signals
 from real2sim.recording import alignment
 from real2sim.recording.formats.opensim import PELVIS_COORDINATES
 from real2sim.recording.formats.recordings import CoordinateRecording, Length, MarkerRecording, RobotLog
+from real2sim.recording.landmarks import missing_of_pelvis, pelvis_of_landmarks
 from real2sim.recording.quality import clocks, markers, pairing, sameness, scale, stillness
 from real2sim.recording.subjects import parse_trial
 
@@ -36,6 +37,13 @@ class RawTrial:
     recording: MarkerRecording
     coordinates: CoordinateRecording | None
     log: RobotLog | None
+    # of a markerless export without coordinates: by our names in the file's frame, the pelvis' four among them
+    landmarks: MarkerRecording | None = None
+
+    @property
+    def markerless(self) -> CoordinateRecording | MarkerRecording | None:
+        """Markerless export: coordinates or landmarks."""
+        return self.coordinates if self.coordinates is not None else self.landmarks
 
     @property
     def kind(self) -> str:
@@ -189,9 +197,9 @@ def measure(
     if trial.log is not None and set(geometry.INTERFACE_MARKERS) <= set(clean):
         out.spacing["robot log"] = _spacing(trial.log.joint_time_s)
         out.robot = _robot(trial.log, time_s, clean, ingest)
-    if trial.coordinates is not None and set(PELVIS_COORDINATES) <= set(trial.coordinates.columns):
-        out.spacing["markerless"] = _spacing(trial.coordinates.time_s)
-        out.markerless = _markerless(trial.coordinates, pelvis, settings, ingest)
+    if trial.markerless is not None and _shows_pelvis(trial.markerless):
+        out.spacing["markerless"] = _spacing(trial.markerless.time_s)
+        out.markerless = _markerless(trial.markerless, pelvis, settings, ingest)
     _rate_by_motion(out, trial, pelvis, clean, time_s, settings["rate"])
     return out
 
@@ -199,7 +207,7 @@ def measure(
 def _lengths(trial: RawTrial) -> dict[str, Length]:
     both = {
         "markers": trial.recording.length,
-        "markerless": trial.coordinates.length if trial.coordinates is not None else None,
+        "markerless": trial.markerless.length if trial.markerless is not None else None,
     }
     return {system: length for system, length in both.items() if length is not None}
 
@@ -234,7 +242,7 @@ class Suspect:
         return _bridged(self.pelvis) if self.pelvis is not None else None
 
 
-File = RobotLog | CoordinateRecording
+File = RobotLog | CoordinateRecording | MarkerRecording
 
 
 def find_exchanges(
@@ -279,7 +287,7 @@ def _lay_other(
 
 
 def _file_of(trial: RawTrial, system: str) -> File | None:
-    return trial.log if system == "robot log" else trial.coordinates
+    return trial.log if system == "robot log" else trial.markerless
 
 
 def _shared(m: Measured, system: str) -> pairing.Shared | None:
@@ -298,7 +306,7 @@ def lay_file(suspect: Suspect, file: File) -> pairing.Shared | None:
         if coarse is None or coarse.correlation < ingest["robot_log"]["min_correlation"]:
             return None
         return _robot(file, suspect.time_s, suspect.clean, ingest).shared
-    path = _path_of(file) if set(PELVIS_COORDINATES) <= set(file.columns) else None
+    path = _path_of(file) if _shows_pelvis(file) else None
     if suspect.bridged is None or path is None:
         return None
     if alignment.coarse_offset(suspect.bridged, path)[1] < ingest["markerless"]["min_correlation"]:
@@ -421,23 +429,31 @@ def _robot_clock(
 # -------------------- markerless
 
 
-def _path_of(coordinates: CoordinateRecording) -> alignment.PelvisPath | None:
+def _shows_pelvis(file: CoordinateRecording | MarkerRecording) -> bool:
+    """Return whether a markerless export has what the pose of the pelvis is computed from."""
+    if isinstance(file, MarkerRecording):
+        return not missing_of_pelvis(file.positions)
+    return set(PELVIS_COORDINATES) <= set(file.columns)
+
+
+def _path_of(file: CoordinateRecording | MarkerRecording) -> alignment.PelvisPath | None:
     """Return the markerless pelvis; None of less than ten rows or with missing values."""
-    if len(coordinates.time_s) < 10:
+    if len(file.time_s) < 10:
         return None
-    rotation, position = alignment.pelvis_of_coordinates(coordinates.columns)
-    if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
-        return None
-    return alignment.PelvisPath(coordinates.time_s, rotation, position)
+    if isinstance(file, MarkerRecording):
+        path = pelvis_of_landmarks(file.time_s, file.positions)
+    else:
+        path = alignment.PelvisPath(file.time_s, *alignment.pelvis_of_coordinates(file.columns))
+    return path if np.isfinite(path.position).all() and np.isfinite(path.rotation).all() else None
 
 
 def _markerless(
-    coordinates: CoordinateRecording,
+    file: CoordinateRecording | MarkerRecording,
     pelvis: alignment.PelvisPath | None,
     settings: QualitySettings,
     ingest: IngestSettings,
 ) -> Markerless | None:
-    other = _path_of(coordinates)
+    other = _path_of(file)
     if pelvis is None or other is None:
         return None
     bridged = _bridged(pelvis)
@@ -509,13 +525,17 @@ def _rate_by_motion(
         ours = signals.derivative(_closed(_line_angles(clean)), declared)
         grid, angles = _log_angles(trial.log, _GRID_HZ)
         theirs = signals.derivative(angles, _GRID_HZ)
-    elif out.markerless is not None and trial.coordinates is not None and pelvis is not None:
+    elif (
+        out.markerless is not None
+        and trial.markerless is not None
+        and pelvis is not None
+        and (other := _path_of(trial.markerless)) is not None
+    ):
         bridged = _bridged(pelvis)
         ours = _speeds(bridged.rotation, bridged.position, declared)
-        r, p = alignment.pelvis_of_coordinates(trial.coordinates.columns)
-        own = trial.coordinates.time_s
+        own = other.time_s
         grid = np.arange(own[0], own[-1], 1 / _GRID_HZ)
-        flat = np.hstack([r.reshape(-1, 9), p])
+        flat = np.hstack([other.rotation.reshape(-1, 9), other.position])
         table = np.column_stack([np.interp(grid, own, column) for column in flat.T])
         theirs = _speeds(table[:, :9].reshape(-1, 3, 3), table[:, 9:], _GRID_HZ)
     else:

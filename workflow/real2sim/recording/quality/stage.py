@@ -18,6 +18,7 @@ from real2sim.recording.findings import warnings_by_code
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.recordings import CoordinateRecording
 from real2sim.recording.ingest import ingest_trial, lab_to_world
+from real2sim.recording.landmarks import name_landmarks
 from real2sim.recording.pose_table import read_pose
 from real2sim.recording.quality import clocks, markers, sameness
 from real2sim.recording.quality.gates import GATES, Session, judge, session_of
@@ -72,14 +73,17 @@ def raw_trial(
         remedy = "label them in QTM, or say which of the lab's names they are under markers: in subject.yaml"
         raise InputError(files.markers, "MARKER_NAMES", found, ", ".join(markers.MARKERS), remedy)
     markerless = read_markerless(files.markerless)
-    return RawTrial(
-        name,
-        replace(recording, positions=world, findings=[], events=[], residual_m={}),
-        markerless if isinstance(markerless, CoordinateRecording) else None,
-        read_log(files.log, settings["robot_log"]["stamps"], settings["max_gap_s"])
-        if files.log is not None
-        else None,
+    coordinates, landmarks = (
+        (markerless, None) if isinstance(markerless, CoordinateRecording) else (None, markerless)
     )
+    if landmarks is not None:
+        points = name_landmarks(files.markerless, landmarks, marker_names, settings["max_gap_s"])
+        landmarks = replace(landmarks, positions=points)
+    log = None
+    if files.log is not None:
+        log = read_log(files.log, settings["robot_log"]["stamps"], settings["max_gap_s"])
+    used = replace(recording, positions=world, findings=[], events=[], residual_m={})
+    return RawTrial(name, used, coordinates, log, landmarks)
 
 
 def _is_too_short(error: InputError | None) -> bool:

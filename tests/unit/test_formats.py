@@ -104,6 +104,17 @@ def test_tsv_time_of_the_file_is_kept_even_if_frame_1_is_not_zero(tmp_path):
     np.testing.assert_allclose(read.time_s, [0.01, 0.02, 0.03])
 
 
+def test_a_cropped_tsv_with_times_alone_begins_at_the_frame_of_its_time(tmp_path):
+    columns, rows = COLUMNS.partition("\t")[2], [row(i).partition("\t")[2] for i in (301, 302, 303)]
+    read = read_markers(tsv(tmp_path, rows, columns=columns))
+    assert read.first_frame == 301
+    np.testing.assert_allclose(read.time_s, [3.0, 3.01, 3.02])
+    since_1970 = [row(i, time=1.7e9 + i / 100).partition("\t")[2] for i in (1, 2)]
+    with pytest.raises(InputError, match="no Frame column") as caught:
+        read_markers(tsv(tmp_path, since_1970, columns=columns))
+    assert caught.value.code == "frame_number"
+
+
 def test_tsv_left_out_frames_are_missing_samples(tmp_path):
     read = read_markers(tsv(tmp_path, [row(1), row(2), row(5)]))
     assert codes(read) == ["frames_missing"]

@@ -86,7 +86,8 @@ _AGAIN = "export the trial again"
 def read_markers(path: Path) -> MarkerRecording:
     """Read a QTM 3D TSV export of any generation; positions [m] in the lab frame of the export.
 
-    ``time_s`` is the file's Time column, or (frame - 1) / rate without one. Frames that a cropped or filtered
+    ``time_s`` is the file's Time column, or (frame - 1) / rate without one; without a Frame column the first frame is
+    that of its time. Frames that a cropped or filtered
     export leaves out, ``NaN``, blank cells and 0.000 triples are missing samples (NaN). Raises
     InputError, with the line, where the file is not such an export or contradicts itself.
     """
@@ -284,7 +285,20 @@ def _clock(
         remedy = "export again, or correct the rate in the header"
         raise InputError(path, "FREQUENCY", found, "one rate", remedy, "rate")
     _check_steps(path, frames, time_s, rate, rows, leading.index("time"))
+    if "frame" not in leading:
+        frames += _frames_before(path, float(time_s[0]), rate)
     return frames.astype(int), time_s.copy(), rate
+
+
+def _frames_before(path: Path, start_s: float, rate: float) -> float:
+    """Return how many frames an export without a Frame column leaves out before its first row, by its time [s]."""
+    before = round(start_s * rate)
+    if abs(before) > 2**31:
+        found = f"a first frame at {start_s:.6g} s, and no Frame column"
+        expected = "times from the start of the recording"
+        remedy = "export with the Frame column"
+        raise InputError(path, "column Time", found, expected, remedy, "frame_number")
+    return float(before)
 
 
 def _check_steps(

@@ -13,6 +13,7 @@ SETTINGS = {
     "quality": CONFIG["quality"],
     "ingest": CONFIG["ingest"],
     "scales": CONFIG["identification"]["scales"],
+    "start_window_s": CONFIG["identification"]["start_window_s"],
 }
 
 

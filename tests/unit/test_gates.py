@@ -13,6 +13,7 @@ from gate_person import CONFIG, SETTINGS, simulate_person
 from real2sim.artefacts import read_json, read_table
 from real2sim.errors import InputError
 from real2sim.pages.quality import quality_figure
+from real2sim.recording.formats.qualisys import read_markers, write_markers
 from real2sim.recording.formats.robot_log import read_log, write_log
 from real2sim.recording.quality import clocks, markers
 from real2sim.recording.quality.gates import (
@@ -29,6 +30,8 @@ from real2sim.recording.quality.verdict import PASS, REFUSE, WARN, Gate, by_size
 from scipy.spatial.transform import Rotation
 
 from benchmarks import faults
+
+FROZEN = CONFIG["ingest"]["frozen"] | {"jump_m": CONFIG["ingest"]["max_marker_jump_m"]}
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +159,17 @@ def _refused(tmp_path, trial):
 def test_unreadable_trial_is_refused_and_the_others_are_judged(few, tmp_path):
     (_copied(few, tmp_path) / "dynamic_2.tsv").write_text("nothing\n")
     assert _refused(tmp_path, "dynamic_2")[0]["gate"] == "readable"
+
+
+def test_a_trial_whose_start_is_masked_is_refused_before_the_step_study_meets_it(few, tmp_path):
+    path = _copied(few, tmp_path) / "dynamic_2.tsv"
+    recording = read_markers(path)
+    recording.positions["IF_L"][:60] = np.nan
+    write_markers(path, recording)
+    [gate] = _refused(tmp_path, "dynamic_2")
+    assert gate["gate"] == "start"
+    assert "interface masked by a gap: known in 0 %" in gate["message"]
+    assert "Crop the export" in gate["remedy"]
 
 
 def test_a_log_of_part_of_a_sweep_is_refused_before_it_makes_limits(few, tmp_path):
@@ -323,24 +337,37 @@ def test_a_gap_that_was_filled_with_its_last_sample_is_a_gap():
     positions, _ = _pelvis(600, 0.0)
     noise = np.random.default_rng(3)
     positions = {name: values + noise.normal(0, 2e-4, values.shape) for name, values in positions.items()}
-    assert markers.find_frozen(positions, **CONFIG["ingest"]["frozen"]) == []
+    assert markers.find_frozen(positions, **FROZEN) == []
     positions["IF_L"][101:140] = positions["IF_L"][100]
     positions["ASIS_R"][120:130] = positions["ASIS_R"][119]
-    frozen = markers.find_frozen(positions, **CONFIG["ingest"]["frozen"])
+    frozen = markers.find_frozen(positions, **FROZEN)
     assert frozen == [markers.Gap("ASIS_R", 120, 130), markers.Gap("IF_L", 101, 140)]
     masked = markers.without_frozen(positions, frozen)
     assert markers.find_gaps(masked) == frozen
     # an export with few digits, in which nobody moves, or slowly
     still = {name: np.round(values[:1] + 0 * values, 3) for name, values in positions.items()}
-    assert markers.find_frozen(still, **CONFIG["ingest"]["frozen"]) == []
+    assert markers.find_frozen(still, **FROZEN) == []
     slow, _ = _pelvis(6000, 0.0)
     slow = {name: np.round(values + noise.normal(0, 2e-4, values.shape), 3) for name, values in slow.items()}
     assert any(((np.diff(v[:, 0]) == 0)[k : k + 4]).all() for v in slow.values() for k in range(500))
-    assert markers.find_frozen(slow, **CONFIG["ingest"]["frozen"]) == []
+    assert markers.find_frozen(slow, **FROZEN) == []
     slow["IF_L"][101:180] = slow["IF_L"][100]
-    (gap,) = markers.find_frozen(slow, **CONFIG["ingest"]["frozen"])
+    (gap,) = markers.find_frozen(slow, **FROZEN)
     assert (gap.marker, gap.stop) == ("IF_L", 180)
     assert gap.start in (100, 101)
+
+
+@pytest.mark.parametrize("number", [9.999999, -0.001])
+@pytest.mark.parametrize("span", [(100, 140), (0, 40), (560, 600)])
+def test_a_number_that_stands_for_a_missing_sample_is_none_from_its_first_frame(number, span):
+    positions, _ = _pelvis(600, 0.0)
+    noise = np.random.default_rng(3)
+    positions = {name: values + noise.normal(0, 2e-4, values.shape) for name, values in positions.items()}
+    positions["IF_L"][slice(*span)] = number
+    assert markers.find_frozen(positions, **FROZEN) == [markers.Gap("IF_L", *span)]
+    # a gap on either side of it
+    positions["IF_L"][max(span[0] - 5, 0) : span[0]] = np.nan
+    assert markers.find_frozen(positions, **FROZEN) == [markers.Gap("IF_L", *span)]
 
 
 def test_few_seconds_ask_for_more_standard_errors():

@@ -70,6 +70,7 @@ def _gates(study: Path, out: Path, refused: str, override: dict[str, str]) -> li
             "quality": CONFIG["quality"] | strict[refused] | {"override": override},
             "ingest": CONFIG["ingest"],
             "scales": CONFIG["identification"]["scales"],
+            "start_window_s": CONFIG["identification"]["start_window_s"],
         },
         raw=[],
         out=out,

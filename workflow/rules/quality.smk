@@ -10,6 +10,7 @@ GATE_SETTINGS = json.dumps(
         "quality": STUDY["quality"],
         "ingest": STUDY["ingest"],
         "scales": STUDY["identification"]["scales"],
+        "start_window_s": STUDY["identification"]["start_window_s"],
     }
 )
 

@@ -91,7 +91,8 @@ def _load_markers(trial: _Trial, marker_names: dict[str, str]) -> MarkerRecordin
         trial.note(
             "marker_unseen", "info", trial.tsv, listed, "labelled and never seen", "taken as not there"
         )
-    frozen = markers.find_frozen(used, **trial.settings["frozen"])
+    jump_m = trial.settings["max_marker_jump_m"]
+    frozen = markers.find_frozen(used, **trial.settings["frozen"], jump_m=jump_m)
     for gap in frozen:
         place = f"{gap.marker}, rows {gap.start + 1} to {gap.stop}"
         message = f"the same coordinates in {gap.stop - gap.start} frames while other markers move"

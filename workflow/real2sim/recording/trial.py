@@ -14,6 +14,7 @@ from real2sim.artefacts import read_json
 from real2sim.errors import InputError
 from real2sim.geometry import INTERFACE_MARKERS, PELVIS_MARKERS, mean_rotation, rotation_matrix
 from real2sim.inference.cost import CostScales, TrialCost
+from real2sim.recording.start_window import EXPECTED, REMEDY, find_start_problem
 from real2sim.system.plant import JointLimits, RestPose
 from real2sim.system.replay import Replay
 
@@ -76,24 +77,20 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
 
     interface = paths(INTERFACE_MARKERS)
     window = time_s - time_s[0] < start_window_s
-    quat, position = stack("interface", "qw qx qy qz")[window], stack("interface", "x y z")[window]
+    quat, position = stack("interface", "qw qx qy qz"), stack("interface", "x y z")
     measured = np.isfinite(quat).all(axis=1) & np.isfinite(position).all(axis=1)
     pelvis_measured = np.isfinite(pelvis_rotation).all(axis=(1, 2))
-    if measured.sum() < 0.5 * window.sum() or not pelvis_measured[window].any():
-        raise InputError(
-            pose,
-            f"first {start_window_s} s",
-            "interface or pelvis masked by a gap",
-            "both measured while the person stands quietly, which gives the robot's start pose",
-            "Crop the export so that it starts with a measured span, or exclude the trial in subject.yaml.",
-        )
+    _, wrong = find_start_problem(time_s, measured, pelvis_measured, start_window_s)
+    if wrong:
+        raise InputError(pose, f"first {start_window_s} s", wrong, EXPECTED, REMEDY)
+    quat, position = quat[window & measured], position[window & measured]
     return Trial(
         time_s,
         pelvis_rotation,
         stack("pelvis", "x y z"),
         interface,
-        mean_rotation(rotation_matrix(quat[measured])),
-        position[measured].mean(axis=0),
+        mean_rotation(rotation_matrix(quat)),
+        position.mean(axis=0),
         usable(pelvis_measured, 1 / (time_s[1] - time_s[0]), settle_s),
         RestPose(np.array(meta["rest"]["rotation"]), np.array(meta["rest"]["position"])),
         bool(meta.get("phantom", False)),

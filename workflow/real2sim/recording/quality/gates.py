@@ -28,6 +28,7 @@ GATES = (
     "readable",
     "completeness",
     "gaps",
+    "start",
     "rigid",
     "swaps",
     "spikes",

@@ -27,12 +27,15 @@ def without_unseen(positions: Mapping[str, np.ndarray], needed: Collection[str])
     }
 
 
-def find_frozen(positions: Mapping[str, np.ndarray], *, frames: int, moved_steps: float) -> list[Gap]:
+def find_frozen(
+    positions: Mapping[str, np.ndarray], *, frames: int, moved_steps: float, jump_m: float
+) -> list[Gap]:
     """Return the spans [start, stop) over which a marker (n, 3) [m] stands still to the last digit while others move.
 
     That is a gap that somebody filled with its last sample: ``frames`` and more that repeat the one before. The others
     have to move by ``moved_steps`` of the steps in which the file counts: in one with few digits, a slow marker repeats
-    itself.
+    itself. The sample that is repeated counts as seen, unless the marker jumps to it by more than ``jump_m`` [m]: then
+    it is a number that stands for a missing sample, as 9999.999.
     """
     seen = {name: signals.known(values) for name, values in positions.items()}
     repeats = {
@@ -54,8 +57,19 @@ def find_frozen(positions: Mapping[str, np.ndarray], *, frames: int, moved_steps
             if other != name and seen[other][run].all()
         ]
         if moved and np.median(moved) >= least:
-            out.append(Gap(name, run.start, run.stop))
+            made_up = _jump_into(positions[name], seen[name], run) > jump_m
+            out.append(Gap(name, run.start - made_up, run.stop))
     return out
+
+
+def _jump_into(values: np.ndarray, seen: np.ndarray, run: slice) -> float:
+    """Return how far [m] a marker (n, 3) is, at the sample that ``run`` repeats, from where it was last seen before.
+
+    From where it is next seen, in a record that begins with that sample; 0 if it is never seen elsewhere.
+    """
+    first = run.start - 1
+    beside = [*np.flatnonzero(seen[:first])[-1:], *(run.stop + np.flatnonzero(seen[run.stop :])[:1])]
+    return float(np.linalg.norm(values[first] - values[beside[0]])) if beside else 0.0
 
 
 def _step(positions: Mapping[str, np.ndarray]) -> float:

@@ -14,6 +14,7 @@ from real2sim.artefacts import read_json, write_json, write_table
 from real2sim.errors import InputError
 from real2sim.geometry import AXES
 from real2sim.provenance import sha256
+from real2sim.recording import start_window
 from real2sim.recording.findings import warnings_by_code
 from real2sim.recording.formats.detect import read_log, read_markerless, read_markers
 from real2sim.recording.formats.recordings import CoordinateRecording
@@ -51,11 +52,12 @@ COLUMNS = (
 
 
 class GateSettings(TypedDict):
-    """Settings of the gates of a person: slices of the configuration, and the scales of the cost."""
+    """Settings of the gates of a person: slices of the configuration, scales of the cost, start of a trial [s]."""
 
     quality: QualitySettings
     ingest: IngestSettings
     scales: dict[str, float]
+    start_window_s: float
 
 
 def raw_trial(
@@ -67,7 +69,8 @@ def raw_trial(
     named = {marker_names.get(lab, lab): values for lab, values in recording.positions.items()}
     labelled = {marker: named[marker] @ rotation.T for marker in markers.MARKERS if marker in named}
     world = markers.without_unseen(labelled, markers.needed(parse_trial(name)[0]))
-    world = markers.without_frozen(world, markers.find_frozen(world, **settings["frozen"]))
+    frozen = markers.find_frozen(world, **settings["frozen"], jump_m=settings["max_marker_jump_m"])
+    world = markers.without_frozen(world, frozen)
     if not world:
         found = f"markers {', '.join(named) or 'none'}"
         remedy = "label them in QTM, or say which of the lab's names they are under markers: in subject.yaml"
@@ -103,16 +106,19 @@ def _readable() -> Gate:
 
 @dataclass
 class _Ingested:
-    """Trials as the fits will see them: interface coordinates (n, 6), what ingest refuses, what it warns about."""
+    """Trials as the fits will see them: interface coordinates (n, 6), gate of the start, refusals, warnings."""
 
     q: dict[str, np.ndarray]
     refused: dict[str, InputError]
     warnings: dict[str, list[dict[str, str]]]
+    start: dict[str, Gate]
 
 
-def _tables(person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial]) -> _Ingested:
+def _tables(
+    person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial], start_window_s: float
+) -> _Ingested:
     """Read each trial as ingest does; its tables are thrown away."""
-    out = _Ingested({}, {}, {})
+    out = _Ingested({}, {}, {}, {})
     with tempfile.TemporaryDirectory() as scratch:
         neutral = Path(scratch) / "neutral" / "quality.json"
         for name in sorted(person.trials, key=lambda trial: (trial != "neutral", trial)):
@@ -145,7 +151,17 @@ def _tables(person: Subject, settings: IngestSettings, raw: Mapping[str, RawTria
                 out.refused[name] = InputError(person.trials[name].markers, *about)
                 continue
             out.q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
+            if parse_trial(name)[0] == "dynamic":
+                out.start[name] = _start_gate(target / "pose.parquet", start_window_s)
     return out
+
+
+def _start_gate(pose: Path, start_window_s: float) -> Gate:
+    """Return the gate that a replay needs: pelvis and interface known while the person stands at the start."""
+    share, wrong = start_window.check_pose_table(pose, start_window_s)
+    message = f"first {start_window_s:g} s: " + (wrong or f"interface known in {100 * share:.0f} %")
+    verdict, remedy = (REFUSE, start_window.REMEDY) if wrong else (PASS, "")
+    return Gate("start", verdict, share, "1", None, message, remedy, None, "identification.start_window_s")
 
 
 def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
@@ -166,7 +182,7 @@ def quality_subject(
     Parameters
     ----------
     settings
-        Slices ``quality`` and ``ingest`` of the configuration and ``scales`` of the cost, by name.
+        Slices ``quality`` and ``ingest`` of the configuration, ``scales`` of the cost and ``start_window_s``, by name.
     raw
         The person's files as the workflow saw them.
     out
@@ -178,7 +194,7 @@ def quality_subject(
     limits, ingest = settings["quality"], settings["ingest"]
     overrides = _overrides(person, limits["override"])
     recorded, unreadable = _read_all(person, ingest)
-    ingested = _tables(person, ingest, recorded)
+    ingested = _tables(person, ingest, recorded, settings["start_window_s"])
     q, refused = ingested.q, ingested.refused
     whole = {name: trial for name, trial in recorded.items() if not _is_too_short(refused.get(name))}
     measured, signatures = _measure_all(person, whole, limits, ingest)
@@ -191,6 +207,7 @@ def quality_subject(
         if name in measured:
             scales, own = settings["scales"], q.get(name)
             gates += judge(measured[name], session, limits, ingest, scales=scales, q=own, limits=bounds)
+        gates += [ingested.start[name]] if name in ingested.start else []
         about = {"schema": 1, "subject": subject, "trial": name, "phantom": person.phantom}
         warnings = ingested.warnings.get(name, [])
         verdict = _write_verdict(out / f"{name}.json", about, gates, overrides.get(name), warnings)

@@ -56,7 +56,7 @@ rule all:
         rules.paper_tables.output,
         rules.claims.output,
         SHARE_TABLES,
-        rules.diagnosis.input if STUDY["diagnosed"] == "everyone" else [],
+        DIAGNOSES if STUDY["diagnosed"] == "everyone" else [],
         [rules.with_effects.output, rules.claims_with_effects.output] if len(EXPLAINED) > 1 else [],
         PEOPLE_PAGES,
         expand("results/people/{subject}/interface.xml", subject=VALIDATION),

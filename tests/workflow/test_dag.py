@@ -303,16 +303,41 @@ def test_a_fit_is_told_its_threads(project):
         assert re.findall(r"--threads (\d+)", text) == [str(threads)]
 
 
-def test_person_without_sweeps_is_diagnosed_but_not_identified(project):
-    folder = project.folder / "resources" / "subjects" / "S09"
+def _add_person(project, name: str, *trials: str) -> None:
+    folder = project.folder / "resources" / "subjects" / name
     folder.mkdir()
     (folder / "subject.yaml").write_text(
-        "id: S09\ncohort: calibration\nsex: male\nage_years: 30\nmass_kg: 80\nheight_m: 1.8\nwaist_m: 0.9\n"
+        f"id: {name}\ncohort: calibration\nsex: male\nage_years: 30\nmass_kg: 80\nheight_m: 1.8\nwaist_m: 0.9\n"
         "tightness: {loosest_cm: 3, tightest_cm: 12, safe_comfortable_cm: 8}\n"
     )
-    for trial in ("neutral", "dynamic_1", "dynamic_2"):
+    for trial in trials:
         for suffix in (".tsv", ".mot", ".mcap"):
             (folder / f"{trial}{suffix}").write_text("")
+
+
+def test_targets_that_nobody_has_the_trials_for_are_refused(project):
+    _add_person(project, "S08", "neutral", "dynamic_1")
+    for target, found in (
+        ("diagnosis", "S08: one dynamic trial, and it takes two"),
+        ("motion", "S08: no rotation_T08 and translation_T08"),
+        ("twin", "S08: twin.cohort is validation"),
+    ):
+        done = project.snakemake("-n", "--cores", "1", target, check=False)
+        assert done.returncode != 0
+        assert f"nobody it can be made for ({found}" in done.stdout
+    # the rest of the study goes without a diagnosis
+    assert "nobody it can be made for" not in project.snakemake("-n", "--cores", "1", check=False).stdout
+
+
+def test_who_is_left_out_of_a_target_is_told(project):
+    _add_person(project, "S08", "neutral", "dynamic_1")
+    _add_person(project, "S09", "neutral", "dynamic_1", "dynamic_2")
+    text = project.snakemake("-n", "--cores", "1", "diagnosis").stdout
+    assert text.count("diagnosis: left out are S08: one dynamic trial, and it takes two.") == 1
+
+
+def test_person_without_sweeps_is_diagnosed_but_not_identified(project):
+    _add_person(project, "S09", "neutral", "dynamic_1", "dynamic_2")
     planned = project.planned("diagnosis")
     assert planned["diagnose"] == 1
     assert not {"joint_limits", "step_study", "fit"} & set(planned)

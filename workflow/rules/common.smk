@@ -465,6 +465,53 @@ def asked_for(make):
         raise WorkflowError(f"\n{error}") from None
 
 
+def someone_takes_part(target, chosen, left_out, remedy):
+    """Input function of a target: it says who is left out and why, and ends the planning where nobody remains.
+
+    ``left_out`` holds the reason by the person's name. Snakemake asks more than once, and is answered once.
+    """
+    told = []
+
+    def nothing(wildcards):
+        reasons = [f"{name}: {why}" for name, why in left_out.items()]
+        if not chosen:
+            found = "; ".join(reasons) or "nobody of the study"
+            error = InputError(
+                STUDY["paths"]["subjects"],
+                f"target {target}",
+                f"nobody it can be made for ({found})",
+                "one person at least",
+                remedy,
+                "trial_missing",
+            )
+            raise WorkflowError(f"\n{error}")
+        if reasons and not told:
+            told.append(target)
+            logger.warning(f"{target}: left out are {'; '.join(reasons)}. {remedy}")
+        return []
+
+    return nothing
+
+
+def why_not_watched(name):
+    """Why a person has no motion to watch."""
+    if not PEOPLE[name].trials_of("dynamic"):
+        return "no dynamic trial"
+    if not PEOPLE[name].has_limits:
+        return f"no {' and '.join(PEOPLE[name].operating_point)}, which give the joint limits"
+    return "dynamic trials that are not fitted in full (refinement.compare)"
+
+
+def without_twin():
+    """Who gets no twin and why, by name; whom the setting leaves out is told where nobody else remains."""
+    asked = {name: STUDY["twin"]["cohort"] in ("all", person.cohort) for name, person in PEOPLE.items()}
+    return {
+        name: "no walk_normal trial" if asked[name] else f"twin.cohort is {STUDY['twin']['cohort']}"
+        for name in PEOPLE
+        if name not in TWINS and (asked[name] or not TWINS)
+    }
+
+
 @functools.cache
 def paper_gap_phantom():
     """Checked settings of the phantom that cohorts with one cause are made of."""

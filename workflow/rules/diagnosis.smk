@@ -26,13 +26,26 @@ VALIDATION_RECORDS = sorted(str(path) for path in Path("resources/validation").g
 # People at a time are faster than threads for one; where there are fewer people than cores, the rest of them helps
 DIAGNOSIS_THREADS = max(1, min(4, (workflow.resource_settings.cores or 1) // max(1, len(DIAGNOSED))))
 
+DIAGNOSES = [
+    "results/diagnosis/diagnosis.csv",
+    *(f"results/diagnosis/{name}/{file}" for name in DIAGNOSED for file in ("diagnosis.html", "model.xml")),
+]
+
 
 rule diagnosis:
     """The answer for everyone with two dynamic trials, and the table of all."""
     input:
-        "results/diagnosis/diagnosis.csv",
-        expand("results/diagnosis/{subject}/diagnosis.html", subject=DIAGNOSED),
-        expand("results/diagnosis/{subject}/model.xml", subject=DIAGNOSED),
+        DIAGNOSES,
+        someone_takes_part(
+            "diagnosis",
+            DIAGNOSED,
+            {
+                name: f"{'one' if person.trials_of('dynamic') else 'no'} dynamic trial, and it takes two"
+                for name, person in PEOPLE.items()
+                if name not in DIAGNOSED
+            },
+            "Record dynamic_1 and dynamic_2, another regime (docs/diagnosis.md).",
+        ),
 
 
 rule diagnose:

@@ -16,6 +16,12 @@ WATCHED = [
 rule motion:
     """All fitted trials, and a clip per person."""
     input:
+        someone_takes_part(
+            "motion",
+            WATCHED,
+            {name: why_not_watched(name) for name in PEOPLE if name not in WATCHED},
+            "It needs a dynamic trial and the sweeps at T* (config/README.md).",
+        ),
         [
             f"results/motion/{name}/{trial}.mcap"
             for name in WATCHED

@@ -17,6 +17,12 @@ wildcard_constraints:
 rule twin:
     """Bars, gait and interface of every twin, and a figure per person."""
     input:
+        someone_takes_part(
+            "twin",
+            TWINS,
+            without_twin(),
+            "Record walk_normal_1 (docs/twin.md), or set twin.cohort.",
+        ),
         "results/twin/bars.csv",
         expand("results/twin/{subject}/human.xml", subject=TWINS),
         expand(

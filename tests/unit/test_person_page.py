@@ -132,7 +132,7 @@ def _page_of(
     if whole:
         point = {"selected_cm": 10, "knee_cm": 10.2, "agree": True, "status": "ok"}
         about = {
-            "breakpoints": {"operating_point": point},
+            "breakpoints": {"operating_point": point, "warning": "the ends are <exchanged>"},
             "limits": {
                 "axes": ["tx", "ty", "tz", "rx", "ry", "rz"],
                 "q_min": [-0.1] * 6,
@@ -190,6 +190,7 @@ def test_everything_about_the_person_is_told(whole):
     assert "2 of 12 parameters are refined on 2 dynamic trials together" in page.text
     assert "facing" in page.text
     assert "neutral.tsv: 40 deg to the <left>" in page.text
+    assert "Check subject.yaml: the ends are <exchanged>." in page.text
     assert "2 <spikes>" in page.text
     assert "The knee of the sweep lies at 10.2 cm" in page.text
     assert "J is 2.5 % above a full calibration's with 7.9 % of the evaluations" in page.text

@@ -78,6 +78,22 @@ def test_remaining_strap_length_gives_the_same_answer(tmp_path):
     assert remaining["operating_point"]["knee_cm"] == pytest.approx(20 - drawn["operating_point"]["knee_cm"])
 
 
+def test_levels_whose_ends_are_exchanged_are_warned_about(tmp_path, capsys):
+    for levels in (range(5, 14), (9, 11)):
+        sweep, breakpoints = _person(tmp_path / str(len(levels)), "S01", levels=levels)
+        assert json.loads(breakpoints.read_text())["warning"] == ""
+        assert capsys.readouterr().out == ""
+        ends = {"loosest": max(levels), "tightest": min(levels), "selected": 9}
+        subject_yaml = write_subject_yaml(sweep.parent / "subject.yaml", **ends)
+        poses = list(sweep.parent.glob("*/pose.parquet"))
+        tightness_sweep(subject="S01", poses=poses, subject_yaml=subject_yaml, out=sweep)
+        tightness_breakpoints(sweep=sweep, subject_yaml=subject_yaml, settings=SETTINGS, out=breakpoints)
+        warning = json.loads(breakpoints.read_text())["warning"]
+        assert "loosest_cm and tightest_cm of subject.yaml are exchanged" in warning
+        assert "rotation by" in warning
+        assert f"S01: {warning}" in capsys.readouterr().out
+
+
 def test_too_few_levels_give_a_reason_and_no_number(tmp_path):
     result = json.loads(_person(tmp_path, "S01", levels=range(7, 12))[1].read_text())
     assert result["regressions"]["dphi"] == {

@@ -246,6 +246,8 @@ def _tightness(study: Person) -> str:
             else f" Knee of the sweep: {point['status']}."
         )
         parts.append(paragraph(f"Operating point T*: {rounded(point['selected_cm'])} cm, as selected.{knee}"))
+        if study.breakpoints.get("warning"):
+            parts.append(paragraph(f"Check subject.yaml: {study.breakpoints['warning']}."))
     else:
         parts.append(paragraph("No tightness sweep was recorded."))
     if study.limits:

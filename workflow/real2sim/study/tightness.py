@@ -43,6 +43,7 @@ SIDES = {
     "dy": ("dy_left_mm", "dy_right_mm"),
 }
 UNITS = {"dphi": "deg", "dx": "mm", "dy": "mm"}
+_WORDS = {"dphi": "rotation", "dx": "forward and back", "dy": "left and right"}
 SWEEP_COLUMNS = (
     "subject",
     "level_cm",
@@ -219,6 +220,27 @@ def _operating_point(
     }
 
 
+def doubt_direction(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return a warning where the allowed motion rises toward the tight end of a sweep, else "".
+
+    A strap that is tighter allows less motion. The straight line of each quantity over normalised tightness has to rise
+    in most of them, and the mean of their changes, each relative to its quantity's mean, too: a quantity that hardly
+    depends on the strap rises or falls by noise.
+    """
+    changes = {}
+    for quantity in SIDES:
+        x, y = side_means(rows, quantity)
+        if len(np.unique(x)) > 1 and y.mean() > 0:
+            changes[quantity] = float(np.polyfit(x, y, 1)[0] * np.ptp(x) / y.mean())
+    rising = [f"{_WORDS[name]} by {100 * change:.0f} %" for name, change in changes.items() if change > 0]
+    if 2 * len(rising) <= len(changes) or sum(changes.values()) <= 0:
+        return ""
+    return (
+        f"the motion that the strap allows rises toward tightest_cm ({', '.join(rising)}): loosest_cm and tightest_cm "
+        "of subject.yaml are exchanged, or the trials have the levels of others"
+    )
+
+
 def tightness_breakpoints(
     *, subject: str, sweep: Path, subject_yaml: Path, settings: TightnessSettings, out: Path
 ) -> None:
@@ -226,10 +248,13 @@ def tightness_breakpoints(
 
     Slopes are deg or mm of one side per unit of normalised tightness. ``settings`` is the config slice
     ``tightness``; the interval's confidence is 1 - alpha. Knee and selected level agree when they are at most
-    one measured step apart.
+    one measured step apart. ``warning`` is that of `doubt_direction`, which is printed too.
     """
     rows = read_table(sweep, SWEEP_COLUMNS)
     scale = _levels(subject_yaml)
+    warning = doubt_direction(rows)
+    if warning:
+        print(f"{rows[0]['subject']}: {warning}", flush=True)
     regressions = {quantity: _person_regression(rows, quantity, settings) for quantity in SIDES}
     write_json(
         out,
@@ -240,6 +265,7 @@ def tightness_breakpoints(
             "method": METHOD,
             "regressions": regressions,
             "operating_point": _operating_point(regressions["dphi"], scale, rows),
+            "warning": warning,
             "settings": settings,
         },
     )

@@ -166,9 +166,15 @@ def tightness_section(study: Study) -> str:
         caption="Operating point T*: what was selected in the lab beside the knee of the person's own sweep",
         numeric=(1, 2, 3),
     )
+    doubts = [
+        paragraph(f"Check subject.yaml of {b['subject']}: {b['warning']}.")
+        for b in study.tightness.people
+        if b.get("warning")
+    ]
     return section(
         "tightness",
         "Tightness and operating point",
+        *doubts,
         f'<div class="grid">{figure(study, "tightness")}<div>{regressions}{one_by_one(study, chosen)}</div></div>',
     )
 

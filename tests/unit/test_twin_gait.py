@@ -196,6 +196,18 @@ def test_errors_name_the_file_and_the_remedy(tmp_path):
         read_walk(_tables(tmp_path / "walk_normal_2", duration=2.5), WHO)
 
 
+def test_knees_that_flex_to_the_negative_side_are_refused(tmp_path):
+    folder = _tables(tmp_path / "walk_normal_1")
+    joints = pq.read_table(folder / "joints.parquet")
+    at = joints.column_names.index("knee_angle_l")
+    negative = joints.set_column(at, "knee_angle_l", pa.array(-joints["knee_angle_l"].to_numpy()))
+    pq.write_table(negative, folder / "joints.parquet")
+    with pytest.raises(InputError, match="column knee_angle_l") as caught:
+        read_walk(folder, WHO)
+    assert caught.value.code == "knee_sign"
+    assert "reverse the sign of knee_angle_l in" in caught.value.remedy
+
+
 def test_reference_can_be_walked():
     report = reference().report
     assert report["slip_rms_m_per_s"] < 0.05

@@ -85,6 +85,7 @@ _FORCES = re.compile(r"force|moment|torque", re.IGNORECASE)
 _STATE = re.compile(r"^/.*/([^/]+)/value$")
 _MUSCLE_STATE = re.compile(r"\.[A-Za-z_]+$")  # soleus_r.activation, as states files of OpenSim 3 have it
 _SIMM = re.compile(r"(datacolumns|datarows|otherdata|name|range|indegrees)\s+(\S.*)", re.IGNORECASE)
+_BENT_RAD = np.radians(20)  # no knee extends so far beyond straight
 _IMPOSSIBLE_RAD = 4 * np.pi  # no joint, and no person turning on the spot in a trial, gets there
 _ELEMENTS = {"double": 1, "float": 1, "vec3": 3, "unitvec3": 3, "quaternion": 4, "vec6": 6, "spatialvec": 6}
 
@@ -328,14 +329,21 @@ def _in_degrees(
     return False
 
 
+def flexes_negative(angle: np.ndarray) -> bool:
+    """Return whether a knee angle (n,) [rad] counts flexion negative, as gait2392, gait2354 and gait10dof have it."""
+    known = angle[np.isfinite(angle)]
+    if not len(known):
+        return False
+    low, high = float(known.min()), float(known.max())
+    return low < -_BENT_RAD and -low > 2 * high
+
+
 def _check_knee(path: Path, columns: dict[str, np.ndarray], findings: list[Finding]) -> None:
     """Report knees that flex to the negative side: gait2392, gait2354 and gait10dof, unlike Rajagopal."""
     for name in ("knee_angle_r", "knee_angle_l"):
         values = columns.get(name)
-        if values is None or not np.isfinite(values).any():
-            continue
-        low, high = np.nanmin(values), np.nanmax(values)
-        if low < -np.radians(20) and -low > 2 * high:
+        if values is not None and flexes_negative(values):
+            low, high = np.nanmin(values), np.nanmax(values)
             span = f"{np.degrees(low):.0f} to {np.degrees(high):.0f} deg"
             message = f"{span}: flexion negative, as in gait2392; Rajagopal has it positive"
             findings.append(Finding("knee_sign", "warning", path.name, name, message, "left as it is"))

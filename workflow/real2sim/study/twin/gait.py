@@ -24,6 +24,7 @@ import scipy
 from scipy.optimize import least_squares
 
 from real2sim.errors import InputError
+from real2sim.recording.formats.opensim import flexes_negative
 from real2sim.study.twin.human import FEET, JOINTS, Body, human_spec, pelvis_rotation
 
 if TYPE_CHECKING:
@@ -139,7 +140,8 @@ def read_walk(folder: Path, body: Body) -> Walk:
     Raises
     ------
     InputError
-        Where the trial has no coordinates of legs and pelvis, or fewer than two whole strides.
+        Where the trial has no coordinates of legs and pelvis, knees that flex to the negative side, or fewer than two
+        whole strides.
     """
     import json
 
@@ -159,6 +161,7 @@ def read_walk(folder: Path, body: Body) -> Walk:
             "joint angles of a full-body model (Rajagopal names)",
             "Export coordinates (.mot or .sto) for the walking trials; landmarks alone do not train a twin.",
         )
+    _check_knees(path, joints)
     time_s = joints.pop("time_s")
     _head_forward(joints)
     pose = pq.read_table(Path(folder) / "pose.parquet")
@@ -187,6 +190,20 @@ def read_walk(folder: Path, body: Body) -> Walk:
             "Record a longer walk, or exclude the trial in subject.yaml.",
         )
     return Walk(time_s, joints, strikes, speed, source, phantom)
+
+
+def _check_knees(path: Path, joints: Mapping[str, np.ndarray]) -> None:
+    """Refuse knees whose flexion is negative: the model's knees flex to the positive side and stop at straight legs."""
+    wrong = [name for name in (f"knee_angle_{side}" for side in FEET) if flexes_negative(joints[name])]
+    if wrong:
+        least = float(np.degrees(min(np.nanmin(joints[name]) for name in wrong)))
+        found = f"flexion down to {least:.0f} deg: negative, as in gait2392, gait2354 and gait10dof"
+        remedy = (
+            f"Export {path.parent.name} again with the Rajagopal model, or reverse the sign of {' and '.join(wrong)} "
+            "in its .mot or .sto."
+        )
+        expected = "knee flexion positive, as the Rajagopal model has it"
+        raise InputError(path, f"column {', '.join(wrong)}", found, expected, remedy, "knee_sign")
 
 
 def _head_forward(joints: dict[str, np.ndarray]) -> None:

@@ -44,6 +44,7 @@ include: "workflow/rules/paper_gap.smk"
 
 
 forget_rule_functions()
+explain_report()
 
 
 rule all:

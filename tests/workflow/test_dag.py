@@ -329,6 +329,12 @@ def test_targets_that_nobody_has_the_trials_for_are_refused(project):
     assert "nobody it can be made for" not in project.snakemake("-n", "--cores", "1", check=False).stdout
 
 
+def test_a_report_of_nothing_says_what_to_do(project):
+    done = project.snakemake("--report", "study.html", check=False)
+    assert done.returncode != 0
+    assert "without --report first; or name a target that was run" in done.stdout
+
+
 def test_who_is_left_out_of_a_target_is_told(project):
     _add_person(project, "S08", "neutral", "dynamic_1")
     _add_person(project, "S09", "neutral", "dynamic_1", "dynamic_2")

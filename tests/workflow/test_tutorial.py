@@ -71,6 +71,31 @@ def test_the_person_can_be_taken_out_again(told):
     folder, _ = told
     _shell(COMMANDS[-1], folder)
     assert not (folder / "resources" / "subjects" / "P01").exists()
+    assert [p for name in ("results", "logs") for p in (folder / name).rglob("*P01*")] == []
+
+
+def test_taking_a_person_out_leaves_the_others(tmp_path):
+    gone = ["fits/P01/dynamic_1/restart-1.json", "limits/P01.json", "people/P01.html"]
+    kept = [
+        "fits/P010/dynamic_1/restart-1.json",
+        "limits/P02.json",
+        "quality/quality.csv",
+        "fits/XP01/a.json",
+    ]
+    for name in (*gone, *kept):
+        (tmp_path / "results" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "results" / name).write_text("")
+    for path in (tmp_path / "resources" / "subjects" / "P01", tmp_path / "logs" / "quality"):
+        path.mkdir(parents=True)
+    (tmp_path / "logs" / "quality" / "P01_figure.log").write_text("")
+    subprocess.run(["bash", "-euo", "pipefail", "-c", COMMANDS[-1]], cwd=tmp_path, check=True)
+    left = {
+        p.relative_to(tmp_path / "results").as_posix()
+        for p in (tmp_path / "results").rglob("*")
+        if p.is_file()
+    }
+    assert left == set(kept)
+    assert list((tmp_path / "logs").rglob("P01*")) == []
 
 
 def test_links_of_the_guides_lead_somewhere():

@@ -226,6 +226,16 @@ def forget_rule_functions():
         workflow.globals.pop(f"__{name}", None)
 
 
+def explain_report():
+    """Say what to do where a report is asked for of results that are not there: Snakemake names the first file alone."""
+    asked = any(argument.partition("=")[0] == "--report" for argument in sys.argv)
+    if asked and not Path("results/report.html").exists():
+        logger.warning(
+            "results/report.html is not there: --report bundles the results of a finished run. Give the same command"
+            " without --report first; or name a target that was run: snakemake quality --report quality.html"
+        )
+
+
 def code(command):
     """Fingerprint of the code that a command runs, as a param: Snakemake does not see imported modules."""
     return fingerprint(module_of(command))

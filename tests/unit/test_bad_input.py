@@ -124,7 +124,14 @@ def level_out_of_range(root, person):
             id="40 % gap",
         ),
         pytest.param(
-            scaled(1e-3), "neutral.tsv", "metres in a file of millimetres", "0.2 to 20 m", id="metres"
+            scaled(1e-3), "neutral.tsv", ": metres in a file of millimetres", "0.2 to 20 m", id="metres"
+        ),
+        pytest.param(
+            scaled(0.1),
+            "neutral.tsv",
+            "centimetres in a file of millimetres",
+            "0.2 to 20 m",
+            id="centimetres",
         ),
         pytest.param(
             scaled(1e3), "neutral.tsv", "a unit smaller than millimetres", "0.2 to 20 m", id="micrometres"

@@ -399,7 +399,7 @@ def test_milliseconds_and_millimetres_are_told(copy, milliseconds, millimetres, 
     write_coordinates(path, CoordinateRecording(whole.time_s * milliseconds, columns))
     text = refusal(run)
     assert f"dynamic_1.mot, {told}" in text
-    assert "milli" in text
+    assert ("milliseconds?" if milliseconds > 1 else "centimetres or millimetres?") in text
 
 
 @pytest.mark.parametrize(

@@ -671,3 +671,14 @@ def test_two_publishers_of_one_topic_with_different_messages(tmp_path):
             writer.add_message(channel, 1, b'{"data": true}', 1)
         writer.finish()
     refused(robot_log.read_log, path, "message_type")
+
+
+def test_a_csv_under_the_name_of_a_log_is_called_a_table_of_text(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_text("time;arm_lift\n0,01;0,5\n")
+    with pytest.raises(InputError) as caught:
+        detect.read_log(path)
+    assert (caught.value.code, caught.value.found) == ("wrong_kind", "a table of text, such as a CSV")
+    path.write_text("inDegrees=no\nendheader\ntime\tpelvis_tx\n0.0\t0.0\n")
+    with pytest.raises(InputError, match=r"an OpenSim \.mot or \.sto"):
+        detect.read_log(path)

@@ -263,6 +263,21 @@ def test_a_number_on_the_command_line_is_told_to_come_in_a_file(project):
     assert "but in a file by --configfile" in done.stdout
 
 
+def test_a_time_step_on_the_command_line_is_told_what_is_allowed(project):
+    done = project.snakemake("-n", "--cores", "1", "--config", 'plant={"timestep_s":0.003}', check=False)
+    assert done.returncode != 0
+    assert "(auto or a number above 0 up to 0.01)" in done.stdout
+    assert "but in a file by --configfile" in done.stdout
+
+
+def test_settings_of_a_suite_that_are_not_there_are_named(project):
+    lost = "suite=config/nope.yaml"
+    done = project.snakemake("-n", "--cores", "1", "suite", "--config", lost, check=False)
+    assert done.returncode != 0
+    assert "nothing at config/nope.yaml" in done.stdout
+    assert "config/suite-ci.yaml" in done.stdout
+
+
 def test_unknown_key_is_refused_before_any_job(project):
     project.configure(identification={"evaluatons": 3})
     done = project.snakemake("-n", "--cores", "1", check=False)

@@ -101,7 +101,22 @@ def _explain(
     remedy = f"Correct the value; {page} has the keys."
     if error.validator == "type":
         remedy = _retyped(error.instance, str(error.validator_value), page) or remedy
+    if error.validator == "anyOf":
+        options = cast("list[dict[str, Any]]", error.validator_value)
+        message = f"{error.instance!r}"
+        expected += f" ({' or '.join(map(_option, options))})"
+        advice = (_retyped(error.instance, str(option.get("type", "")), page) for option in options)
+        remedy = next(filter(None, advice), remedy)
     return InputError(source, place, message, expected, remedy, "value")
+
+
+def _option(schema: dict[str, Any]) -> str:
+    """Return what one of several schemas of a value allows, in words."""
+    if "const" in schema:
+        return str(schema["const"])
+    ends = {"exclusiveMinimum": "above", "minimum": "from", "exclusiveMaximum": "below", "maximum": "up to"}
+    bounds = [f"{word} {schema[key]:g}" for key, word in ends.items() if key in schema]
+    return " ".join([f"a {schema['type']}", *bounds])
 
 
 def _retyped(value: Any, wanted: str, page: str) -> str:

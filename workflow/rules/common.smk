@@ -138,11 +138,17 @@ def nobody_to_calibrate(study, people):
     return InputError(study["paths"]["subjects"], "", found, "at least one person to calibrate on", remedy)
 
 
-def suite_settings():
-    """Checked configuration of the diagnosis suite; None where there is none, which no study needs."""
+def suite_settings(asked):
+    """Checked configuration of the diagnosis suite; None where there is none, which no study needs that asks for none."""
     source = Path(STUDY["suite"])
-    if not (source.exists() and Path(STUDY["paths"]["phantom"]).exists()):
-        return None
+    for key, path in (("suite", source), ("paths.phantom", Path(STUDY["paths"]["phantom"]))):
+        if not path.is_file():
+            if not asked:
+                return None
+            there = ", ".join(sorted(str(other) for other in source.parent.glob("suite*.yaml")))
+            expected = "a file of settings" + (f", such as {there}" if key == "suite" and there else "")
+            error = InputError("config", key, f"nothing at {path}", expected, "Correct the path.", "no_file")
+            raise WorkflowError(f"\n{error}")
     return validated(read_yaml(source), "suite", source)
 
 

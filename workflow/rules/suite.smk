@@ -8,11 +8,11 @@ Steps:   one job per shard draws, simulates and writes its cases, one answers th
          the study asks for them.
 """
 
-SUITE = suite_settings()
-SUITE_SHARDS = [f"{shard:03d}" for shard in range(shards(SUITE))] if SUITE else []
-
 # Targets are not known to a Snakefile that is being read, but what was typed is
 _ASKED = any(word == "suite" or word.startswith("results/suite") for word in sys.argv[1:])
+SUITE = suite_settings(_ASKED)
+SUITE_SHARDS = [f"{shard:03d}" for shard in range(shards(SUITE))] if SUITE else []
+
 if SUITE and _ASKED and workflow.is_main_process:
     _cores = workflow.resource_settings.cores or 1
     print(expected_time(SUITE, Path("results/suite"), _cores), file=sys.stderr, flush=True)

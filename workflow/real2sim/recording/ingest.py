@@ -163,14 +163,9 @@ def _check_extent(trial: _Trial, positions: dict[str, np.ndarray]) -> None:
     extent = float(np.max(np.nanmax(cloud, axis=0) - np.nanmin(cloud, axis=0)))
     if low <= extent <= high:
         return
-    guess = (
-        "metres in a file of millimetres" if extent < low else "a unit smaller than millimetres, or outliers"
-    )
-    found = f"markers that span {extent:.3g} m when read as millimetres: {guess}"
-    expected = f"{low:g} to {high:g} m"
-    raise InputError(
-        trial.tsv, "", found, expected, "export again from QTM, which writes millimetres", "extent"
-    )
+    found = f"markers that span {extent:.3g} m in the unit of the file: {units.guess_unit(extent, low, high)}"
+    remedy = "export again from QTM, which writes millimetres (C3D: in the unit that POINT:UNITS says)"
+    raise InputError(trial.tsv, "", found, f"{low:g} to {high:g} m", remedy, "extent")
 
 
 def _check_complete(trial: _Trial, name: str, values: np.ndarray) -> None:

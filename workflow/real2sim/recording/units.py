@@ -22,6 +22,16 @@ _TO_DEGREES = "write inDegrees=yes into the header, or export again in degrees"
 _TO_RADIANS = "write inDegrees=no into the header, or export again in degrees"
 
 
+def guess_unit(extent: float, low: float, high: float) -> str:
+    """Return which unit markers may be in that span ``extent`` [m] as read, instead of ``low`` to ``high`` [m]."""
+    if extent > high:
+        return "a unit smaller than millimetres (C3D: than POINT:UNITS), or outliers"
+    for factor, unit in ((10, "centimetres"), (1000, "metres")):
+        if low <= factor * extent <= high:
+            return f"{unit} in a file of millimetres"
+    return "a unit larger than millimetres"
+
+
 def check_kinds(path: Path, recording: CoordinateRecording) -> None:
     """Refuse coordinates in degrees of which neither name nor configuration says whether they are translations."""
     if not recording.in_degrees or not recording.unknown:
@@ -73,15 +83,18 @@ def check_thousands(
     found = f"a pelvis that travels by {travelled:.3g} m (RMS), and by {ours_travelled:.3g} m in the markers"
     larger = _is_thousand(travelled, ours_travelled, settings)
     if landmarks and (larger or _is_thousand(ours_travelled, travelled, settings)):
-        found += ": millimetres in a file of metres?" if larger else ": metres in a file of millimetres?"
+        found += (
+            ": centimetres or millimetres in a file of metres?"
+            if larger
+            else ": metres in a file of millimetres?"
+        )
         remedy = "write the true unit under Units in the header, or export the landmarks again"
         expected = "landmarks in the unit that the header says"
         raise InputError(path, "key Units", found, expected, remedy, "units_contradicted")
     if larger:
         remedy = "export the translations in metres"
-        raise InputError(
-            path, "pelvis", f"{found}: millimetres?", "translations in metres", remedy, "units_contradicted"
-        )
+        found += ": centimetres or millimetres?"
+        raise InputError(path, "pelvis", found, "translations in metres", remedy, "units_contradicted")
 
 
 def _is_thousand(one: float, other: float, settings: IngestUnitsSettings) -> bool:

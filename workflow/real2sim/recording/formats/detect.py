@@ -93,11 +93,19 @@ def _detected(
     name, suffixes = FORMATS[kind]
     if kind not in wanted:
         remedy = remedy or "export the file in one of these formats, or name it as what it is"
+        if kind == "storage" and not _has_end_of_header(path):
+            name = "a table of text, such as a CSV"
         raise InputError(path, "", name, expected, remedy, "wrong_kind")
     if path.suffix.lower() not in suffixes:
         message = f"{path.suffix or 'no extension'}, but the content is {name}"
         findings.append(Finding("extension", "warning", path.name, "", message, "read by its content"))
     return kind
+
+
+def _has_end_of_header(path: Path) -> bool:
+    """Return whether a text has the line that ends the header of a .mot or .sto: only by it is it surely one."""
+    with path.open("rb") as stream:
+        return b"endheader" in stream.read(_HEAD).lower()
 
 
 def read_markers(path: Path) -> MarkerRecording:

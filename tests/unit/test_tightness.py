@@ -87,7 +87,9 @@ def test_levels_whose_ends_are_exchanged_are_warned_about(tmp_path, capsys):
         subject_yaml = write_subject_yaml(sweep.parent / "subject.yaml", **ends)
         poses = list(sweep.parent.glob("*/pose.parquet"))
         tightness_sweep(subject="S01", poses=poses, subject_yaml=subject_yaml, out=sweep)
-        tightness_breakpoints(sweep=sweep, subject_yaml=subject_yaml, settings=SETTINGS, out=breakpoints)
+        tightness_breakpoints(
+            subject="S01", sweep=sweep, subject_yaml=subject_yaml, settings=SETTINGS, out=breakpoints
+        )
         warning = json.loads(breakpoints.read_text())["warning"]
         assert "loosest_cm and tightest_cm of subject.yaml are exchanged" in warning
         assert "rotation by" in warning

@@ -20,7 +20,7 @@ from real2sim.effects.memory import bouc_wen, eyring, maxwell
 from real2sim.effects.planned import PlannedForce
 from real2sim.effects.replay import _drive_for
 from real2sim.geometry import AXES, interface_frame, pelvis_frame
-from real2sim.recording.skin import skin_by_turn
+from real2sim.recording.skin import on_pelvis, skin_by_turn
 from real2sim.signals import lowpass
 from real2sim.study import strap_evidence
 from real2sim.system.plant import (
@@ -353,8 +353,8 @@ def _find_bone(rng: np.random.Generator, angles: np.ndarray, slide: float) -> tu
     on_bone = shape + np.einsum("kij,nj->nki", ways, angles)
     markers = position[:, None] + np.einsum("nij,nkj->nki", bone, on_bone)
     rotation, origin = pelvis_frame(*np.moveaxis(markers, 1, 0))
-    mean = np.einsum("nji,nkj->nki", rotation, markers - origin[:, None]).mean(axis=0)
-    by_turn = skin_by_turn(rotation, markers, mean)
+    mean = on_pelvis(markers).mean(axis=0)
+    by_turn = skin_by_turn(rotation, on_pelvis(markers), mean)
     away = shape - shape.mean(axis=0)
     inertia = np.sum(away**2) * np.eye(3) - away.T @ away
     turn = np.linalg.solve(inertia, np.cross(away[:, :, None], ways, axisa=1, axisb=1, axisc=1).sum(axis=0))

@@ -20,6 +20,7 @@ from real2sim.effects.system_replay import Setup
 from real2sim.errors import InputError
 from real2sim.geometry import mean_rotation, relative_pose, rotation_xyz
 from real2sim.recording.levels import moving_sd, white_sd
+from real2sim.recording.skin import skin_by_turn
 from real2sim.recording.table import Recording, check_columns, log_columns, marker_columns
 from real2sim.system.described_plant import DRIVEN_SITE, Anchor, load_model, plant_of, rests_of
 from real2sim.system.description import BASE_JOINTS, FORCE, PATH, POSE, System
@@ -44,11 +45,15 @@ _STRAP_KG, _STRAP_KGM2 = 3.0, 0.03
 
 @dataclass(frozen=True)
 class Segment:
-    """The driven segment of one recording: pose (n, 3, 3), (n, 3) [m, world] and its markers on it (k, 3) [m]."""
+    """The driven segment of one recording: pose (n, 3, 3), (n, 3) [m, world] and its markers on it (k, 3) [m].
+
+    ``by_turn`` is how these move on it as it turns, see `MarkerShapes`.
+    """
 
     rotation: np.ndarray
     position: np.ndarray
     shape: np.ndarray
+    by_turn: np.ndarray
     cutoff_hz: float
 
 
@@ -191,9 +196,10 @@ class DescribedTrial:
     def _segment_of(self, recording: Recording) -> Segment:
         markers = recording.markers(self._system.markers.segment)
         rotation, position = self._segment_pose(recording, markers)
-        shape = np.nanmean(np.einsum("nji,nkj->nki", rotation, markers - position[:, None]), axis=0)
+        seen = np.einsum("nji,nkj->nki", rotation, markers - position[:, None])
+        shape = np.nanmean(seen, axis=0)
         smooth = self._smooth_pose(rotation, position)
-        return Segment(*smooth, shape, self._cutoff)
+        return Segment(*smooth, shape, skin_by_turn(smooth[0], seen, shape), self._cutoff)
 
     def _smooth_pose(self, rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         first = rotation[0]
@@ -634,6 +640,7 @@ class DescribedTrial:
         rotation = still if segment is None else segment.rotation
         position = np.zeros((n, 3)) if segment is None else segment.position
         shape = np.zeros((4, 3)) if segment is None else segment.shape
+        by_turn = None if segment is None else segment.by_turn
         # without the segment, whose inertia stands in for a motion that nothing changes
         machine = load_model(self._system).compile()
         interface, yaw = still, BASE_JOINTS[2]
@@ -654,7 +661,7 @@ class DescribedTrial:
             q,
             v,
             NeutralPose(rotation[0], position[0]),
-            MarkerShapes(shape, np.zeros((2, 3))),
+            MarkerShapes(shape, np.zeros((2, 3)), by_turn),
             np.zeros(3),
         )
 

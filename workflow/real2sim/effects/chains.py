@@ -26,9 +26,9 @@ class NeutralPose:
 
 @dataclass(frozen=True)
 class MarkerShapes:
-    """Markers on the driven segment: ``segment`` (4, 3) its own, ``interface`` (2, 3) at rest [m].
+    """Markers on the driven segment: ``segment`` (k, 3) its own, ``interface`` (2, 3) at rest [m].
 
-    ``by_turn`` (10, 4, 3) is what they show of skin that moves between them: how far they are from ``segment`` at the
+    ``by_turn`` (10, k, 3) is what they show of skin that moves between them: how far they are from ``segment`` at the
     start, per Cardan angle of the segment from the start [m/rad], and per product of two of these [m/rad^2], in the
     order of `turn_products`. None for markers on a rigid body.
     """
@@ -38,7 +38,7 @@ class MarkerShapes:
     by_turn: np.ndarray | None = None
 
     def places(self, angles: np.ndarray) -> np.ndarray:
-        """Return where the segment's markers are seen on it (n, 4, 3) [m] at Cardan angles (n, 3) [rad]."""
+        """Return where the segment's markers are seen on it (n, k, 3) [m] at Cardan angles (n, 3) [rad]."""
         if self.by_turn is None:
             return np.broadcast_to(self.segment, (len(angles), *self.segment.shape))
         moved = np.einsum("np,pki->nki", turn_products(angles), self.by_turn)

@@ -60,8 +60,7 @@ def skin_of(
     if len(spans) < options["fewest_spans"]:
         return None
     spans /= spans.sum(axis=1, keepdims=True)
-    rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
-    off = np.einsum("nji,nkj->nki", rotation, markers - position[:, None]) - shape
+    off = on_pelvis(markers) - shape
     off[~seen] = 0.0
     against = _against_rigid(shape)
     means = spans @ off.reshape(len(off), 12) @ against
@@ -77,18 +76,23 @@ def skin_of(
     return Skin(spans, against, slow, 1 / sd, (slow @ means / sd).ravel())
 
 
-def skin_by_turn(pelvis: np.ndarray, markers: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Return how the pelvis' markers move on it as it turns (10, 4, 3): the least-squares fit in `turn_products`.
+def skin_by_turn(path: np.ndarray, seen: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Return how a segment's markers move on it as it turns (10, k, 3): the least-squares fit in `turn_products`.
 
-    ``pelvis`` (n, 3, 3) is its rotation, whose Cardan angles count from the first sample; ``markers`` (n, 4, 3)
-    [m, world] where they were seen; ``shape`` (4, 3) [m] their mean places, which the fit is beside.
+    ``path`` (n, 3, 3) is its rotation, whose Cardan angles count from the first sample; ``seen`` (n, k, 3) [m] where
+    its markers are on it, NaN where they are lost; ``shape`` (k, 3) [m] their mean places, which the fit is beside.
     """
-    rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
-    off = np.einsum("nji,nkj->nki", rotation, markers - position[:, None]) - shape
-    seen = np.isfinite(off).all(axis=(1, 2))
-    products = turn_products(cardan_angles(pelvis[0].T @ pelvis))[seen]
-    fitted, *_ = np.linalg.lstsq(products, off[seen].reshape(len(products), -1), rcond=None)
+    off = seen - shape
+    known = np.isfinite(off).all(axis=(1, 2))
+    products = turn_products(cardan_angles(path[0].T @ path))[known]
+    fitted, *_ = np.linalg.lstsq(products, off[known].reshape(len(products), -1), rcond=None)
     return np.asarray(fitted.reshape(-1, *shape.shape))
+
+
+def on_pelvis(markers: np.ndarray) -> np.ndarray:
+    """Return the pelvis' markers (n, 4, 3) [m, world] in the frame that they show, (n, 4, 3) [m]."""
+    rotation, position = pelvis_frame(*np.moveaxis(markers, 1, 0))
+    return np.asarray(np.einsum("nji,nkj->nki", rotation, markers - position[:, None]))
 
 
 def _against_rigid(shape: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from real2sim.recording.jumps import JumpRule, spikes, without_ghosts
 from real2sim.recording.missing_marker import PutBack
 from real2sim.recording.noise import NoiseModel, hold_uncertainty, rest_uncertainty, robot_noise
 from real2sim.recording.pelvis import PathRule, most_probable_pelvis, pelvis_shape
-from real2sim.recording.skin import skin_by_turn, skin_of
+from real2sim.recording.skin import on_pelvis, skin_by_turn, skin_of
 from real2sim.recording.start import at_first, moved_to_first
 from real2sim.recording.tables import (
     bridged_rotation,
@@ -173,7 +173,7 @@ def _context(
         coordinates,
         rates,
         NeutralPose(*mean_pelvis(neutral)),
-        MarkerShapes(shape, _rest_shape(trial), skin_by_turn(pelvis, trial.pelvis_markers, shape)),
+        MarkerShapes(shape, _rest_shape(trial), skin_by_turn(pelvis, on_pelvis(trial.pelvis_markers), shape)),
         twin.body("interface").pos,
     )
 

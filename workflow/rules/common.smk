@@ -182,7 +182,8 @@ TWINS = [
     for name, person in PEOPLE.items()
     if person.trials_of("walk_normal") and STUDY["twin"]["cohort"] in ("all", person.cohort)
 ]
-# priority of what stands at the head of the longest chain of jobs: a twin's recordings, gait and trainings
+# priority of what stands at the head of the longest chains of jobs: a twin's recordings, gait and trainings, and the
+# fits, whose priors its walks with the robot wait for
 LONGEST = 1
 RESTARTS = range(1, STUDY["identification"]["restarts"] + 1)
 ROBOT = STUDY["paths"]["robot"]

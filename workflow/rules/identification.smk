@@ -58,6 +58,7 @@ rule fit:
     conda:
         "../envs/real2sim.yaml"
     threads: 1
+    priority: LONGEST
     resources:
         mem_mb=600,
         runtime=30,

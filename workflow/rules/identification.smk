@@ -55,10 +55,10 @@ rule fit:
         "logs/fits/{subject}/{trial}.log",
     benchmark:
         "logs/benchmarks/fits/{subject}/{trial}.tsv"
+    priority: LONGEST
     conda:
         "../envs/real2sim.yaml"
     threads: 1
-    priority: LONGEST
     resources:
         mem_mb=600,
         runtime=30,

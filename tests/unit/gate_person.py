@@ -14,6 +14,7 @@ SETTINGS = {
     "ingest": CONFIG["ingest"],
     "scales": CONFIG["identification"]["scales"],
     "start_window_s": CONFIG["identification"]["start_window_s"],
+    "start_known_share": CONFIG["identification"]["start_known_share"],
 }
 
 

@@ -23,6 +23,8 @@ from scipy.optimize import lsq_linear
 SCALES = CostScales(0.041, 0.080)
 BOUNDS = Bounds(np.full(12, 1.0), np.full(12, 1000.0))
 
+START = {"start_window_s": 0.5, "start_known_share": 0.5, "settle_after_gap_s": 1.0}
+
 
 def test_constant_offset_costs_position_alone():
     measured = np.random.default_rng(0).normal(size=(50, 2, 3))
@@ -203,7 +205,7 @@ def _tables(folder, pelvis_gap=slice(0, 0), interface_gap=slice(0, 0)):
 
 
 def test_trial_masks_gaps_of_the_pelvis_and_the_time_to_settle(tmp_path):
-    trial = load_trial(*_tables(tmp_path, pelvis_gap=slice(100, 140)), start_window_s=0.5, settle_s=1.0)
+    trial = load_trial(*_tables(tmp_path, pelvis_gap=slice(100, 140)), START)
     assert trial.usable[:100].all()
     assert not trial.usable[100:240].any()
     assert trial.usable[240:].all()
@@ -213,7 +215,7 @@ def test_trial_masks_gaps_of_the_pelvis_and_the_time_to_settle(tmp_path):
 
 def test_trial_without_a_measured_start_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"pose\.parquet(.|\n)*first 0\.5 s"):
-        load_trial(*_tables(tmp_path, interface_gap=slice(0, 45)), start_window_s=0.5, settle_s=1.0)
+        load_trial(*_tables(tmp_path, interface_gap=slice(0, 45)), START)
 
 
 def test_a_search_that_fails_at_every_screened_point_has_a_history_of_numbers():

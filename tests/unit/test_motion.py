@@ -210,7 +210,7 @@ def test_a_limit_pushes_the_strap_back_from_either_side(exported, side):
     reach = 0.002  # m
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
     (upper if side > 0 else lower)[0] = side * reach
-    loaded = load_trial(trial.pose, trial.markers, start_window_s=0.5, settle_s=1.0)
+    loaded = load_trial(trial.pose, trial.markers, SETTINGS["identification"])
     settings = SETTINGS | {"plant": SETTINGS["plant"] | {"timestep_s": 0.005}}
     inputs = replay_inputs(loaded, JointLimits(lower, upper), ROBOT, settings)
     parameters = np.array([trial.parameters[name] for name in PARAMETERS])

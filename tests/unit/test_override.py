@@ -71,6 +71,7 @@ def _gates(study: Path, out: Path, refused: str, override: dict[str, str]) -> li
             "ingest": CONFIG["ingest"],
             "scales": CONFIG["identification"]["scales"],
             "start_window_s": CONFIG["identification"]["start_window_s"],
+            "start_known_share": CONFIG["identification"]["start_known_share"],
         },
         raw=[],
         out=out,

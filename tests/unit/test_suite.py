@@ -641,7 +641,8 @@ def test_slopes_by_planned_forces_are_those_of_replays_for_a_robot_in_balance_to
     system = evidence.setup.system
     library = Library(Pair(evidence, evidence.as_held_out(), system), 1.0)
     terms = [t for t in library.terms.values() if t.joint in ("strap_tx", "strap_ry")][:8]
-    assert any(not t.powers for t in terms), "a constant force, which a robot in balance has taken up"
+    # constant forces, which a robot in balance has taken up: on its own joint wholly
+    terms += [t for t in library.terms.values() if t.name == "constant" and t not in terms]
     placed = library.columns_effect(terms)
     parameters = system.values(sum(system.bounds()) / 2)[None]
     replay = evidence.replay([placed], 1)
@@ -652,6 +653,7 @@ def test_slopes_by_planned_forces_are_those_of_replays_for_a_robot_in_balance_to
         return np.hstack([paths[0].reshape(len(paths[0]), -1), joints[0]])
 
     by_replays = [(shown(step * row) - shown(-step * row)) / (2 * step) for row in unit]
+    usual = np.median([np.linalg.norm(slope) for slope in by_replays])
     shown(0 * unit[0])
     linear = replay.linearised()
     nothing = InterfaceImpedance(np.empty((0, 0)), np.empty((0, 0)))
@@ -659,4 +661,4 @@ def test_slopes_by_planned_forces_are_those_of_replays_for_a_robot_in_balance_to
     moved, turned = replay.response(linear, 0, forces)
     for wanted, path, joints in zip(by_replays, moved, turned, strict=True):
         found = np.hstack([path.reshape(len(path), -1), joints])
-        assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)
+        assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted) + 1e-3 * usual

@@ -543,6 +543,7 @@ IdentificationSettings = TypedDict(
         "seed": int,
         "scales": IdentificationScalesSettings,
         "start_window_s": float,
+        "start_known_share": float,
         "settle_after_gap_s": float,
         "at_bound_ln": float,
         "bounds": IdentificationBoundsSettings,

@@ -176,12 +176,9 @@ except InputError as error:
 PEOPLE = People(PEOPLE)
 
 CALIBRATION = [name for name, person in PEOPLE.items() if person.cohort == "calibration"]
-# people with a simulated twin, who learns from their walks without a robot
-TWINS = [
-    name
-    for name, person in PEOPLE.items()
-    if person.trials_of("walk_normal") and STUDY["twin"]["cohort"] in ("all", person.cohort)
-]
+# people whom twin.cohort asks for, and those of them with walks without a robot, from which a simulated twin learns
+TWIN_COHORT = [name for name, person in PEOPLE.items() if STUDY["twin"]["cohort"] in ("all", person.cohort)]
+TWINS = [name for name in TWIN_COHORT if PEOPLE[name].trials_of("walk_normal")]
 # priority of what stands at the head of the longest chains of jobs: a twin's recordings, gait and trainings, and the
 # fits, whose priors its walks with the robot wait for
 LONGEST = 1
@@ -521,11 +518,10 @@ def why_not_watched(name):
 
 def without_twin():
     """Who gets no twin and why, by name; whom the setting leaves out is told where nobody else remains."""
-    asked = {name: STUDY["twin"]["cohort"] in ("all", person.cohort) for name, person in PEOPLE.items()}
     return {
-        name: "no walk_normal trial" if asked[name] else f"twin.cohort is {STUDY['twin']['cohort']}"
+        name: "no walk_normal trial" if name in TWIN_COHORT else f"twin.cohort is {STUDY['twin']['cohort']}"
         for name in PEOPLE
-        if name not in TWINS and (asked[name] or not TWINS)
+        if name not in TWINS and (name in TWIN_COHORT or not TWINS)
     }
 
 

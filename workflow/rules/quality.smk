@@ -11,6 +11,7 @@ GATE_SETTINGS = json.dumps(
         "ingest": STUDY["ingest"],
         "scales": STUDY["identification"]["scales"],
         "start_window_s": STUDY["identification"]["start_window_s"],
+        "start_known_share": STUDY["identification"]["start_known_share"],
     }
 )
 

@@ -519,11 +519,10 @@ class EffectReplay(FreeRuns, Replay):
         model = self._batch.get_model(0)
         given = self._jacobian(model, self._began_at)
         pull = np.zeros((model.nv, len(dofs)))
-        pull[dofs] = np.eye(len(dofs))
         # how the strap's joints go where those of the robot move and the pelvis stays, as in `_settle`
         pull[self._dofs] = -np.linalg.solve(given[:, self._dofs], given[:, dofs])
         linear = Linearised(self.as_simulated(), self.stride)
-        return Balanced(linear, model, np.array(by_rest), pull, model.jnt_stiffness[joints])
+        return Balanced(linear, model, np.array(by_rest), dofs, pull, model.jnt_stiffness[joints])
 
     @property
     def linearisation_cost(self) -> int:

@@ -124,9 +124,8 @@ class SystemReplay(FreeRuns):
         )
         self._joints = [model.joint(name) for name in system.axis_joints]
         self._start = self._start_state()
-        self._first_rate = self._start[
-            1
-        ]  # of the first simulation of the last call, half a step before its start
+        # of the first simulation of the last call, half a step before its start
+        self._first_rate = self._start[1]
         self._shift, self._hurry = np.zeros((nsim, model.nq)), np.zeros((nsim, model.nv))
         # simulations whose segment would have to be driven farther than it can be
         self._failed, self._impossible = np.zeros(nsim, bool), set[bytes]()

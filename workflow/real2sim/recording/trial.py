@@ -19,7 +19,7 @@ from real2sim.system.plant import JointLimits, RestPose
 from real2sim.system.replay import Replay
 
 if TYPE_CHECKING:
-    from real2sim.settings import Settings
+    from real2sim.settings import IdentificationSettings, Settings
 
 
 @dataclass(frozen=True)
@@ -44,17 +44,17 @@ class Trial:
     pelvis_markers: np.ndarray
 
 
-def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: float) -> Trial:
+def load_trial(pose: Path, markers: Path, settings: IdentificationSettings) -> Trial:
     """Read a trial's canonical tables.
 
     Parameters
     ----------
     pose, markers
         The trial's pose.parquet and markers.parquet, as `ingest.ingest_trial` writes them.
-    start_window_s
-        Span of quiet standing at the start over which the start pose is averaged [s].
-    settle_s
-        How long after a gap of the pelvis the cost stays masked: what was bridged has to die away [s].
+    settings
+        Slice ``identification`` of the configuration: ``start_window_s``, over which the start pose is averaged,
+        ``start_known_share``, and ``settle_after_gap_s``, for which the cost stays masked after a gap of the pelvis:
+        what was bridged has to die away.
 
     Raises
     ------
@@ -75,12 +75,14 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
     def paths(names: tuple[str, ...]) -> np.ndarray:
         return np.stack([np.column_stack([raw[f"{m}_{c}"].to_numpy() for c in "xyz"]) for m in names], axis=1)
 
-    interface = paths(INTERFACE_MARKERS)
+    interface, start_window_s = paths(INTERFACE_MARKERS), settings["start_window_s"]
     window = time_s - time_s[0] < start_window_s
     quat, position = stack("interface", "qw qx qy qz"), stack("interface", "x y z")
     measured = np.isfinite(quat).all(axis=1) & np.isfinite(position).all(axis=1)
     pelvis_measured = np.isfinite(pelvis_rotation).all(axis=(1, 2))
-    _, wrong = find_start_problem(time_s, measured, pelvis_measured, start_window_s)
+    _, wrong = find_start_problem(
+        time_s, measured, pelvis_measured, start_window_s, settings["start_known_share"]
+    )
     if wrong:
         raise InputError(pose, f"first {start_window_s} s", wrong, EXPECTED, REMEDY)
     quat, position = quat[window & measured], position[window & measured]
@@ -91,7 +93,7 @@ def load_trial(pose: Path, markers: Path, *, start_window_s: float, settle_s: fl
         interface,
         mean_rotation(rotation_matrix(quat)),
         position.mean(axis=0),
-        usable(pelvis_measured, 1 / (time_s[1] - time_s[0]), settle_s),
+        usable(pelvis_measured, 1 / (time_s[1] - time_s[0]), settings["settle_after_gap_s"]),
         RestPose(np.array(meta["rest"]["rotation"]), np.array(meta["rest"]["position"])),
         bool(meta.get("phantom", False)),
         paths(PELVIS_MARKERS),
@@ -181,12 +183,7 @@ def trial_model(
     ``settings`` has the slices ``identification``, ``plant`` and ``robot``.
     """
     ident = settings["identification"]
-    trial = load_trial(
-        pose,
-        markers,
-        start_window_s=ident["start_window_s"],
-        settle_s=ident["settle_after_gap_s"],
-    )
+    trial = load_trial(pose, markers, ident)
     joint_limits = load_limits(limits)
     try:
         replay = replay_of(trial, joint_limits, robot, settings, nsim=nsim, threads=threads)

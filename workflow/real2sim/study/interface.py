@@ -67,10 +67,7 @@ def export_interface(
     name = next(iter(person["trials"]), "neutral")
     pose, measured = next(pair for pair in zip(poses, markers, strict=True) if pair[0].parent.name == name)
     chosen = with_step(settings, step) if step else _with_own_step(settings)
-    ident = settings["identification"]
-    trial = load_trial(
-        pose, measured, start_window_s=ident["start_window_s"], settle_s=ident["settle_after_gap_s"]
-    )
+    trial = load_trial(pose, measured, settings["identification"])
     own_limits = load_limits(limits) if limits else None
     model = replay_of(trial, own_limits, robot, chosen, nsim=1)
     values = as_vector({name: p["value"] for name, p in person["parameters"].items()})

@@ -100,12 +100,7 @@ def _read(
 ) -> tuple[Recorded, np.ndarray, np.ndarray]:
     """Read the measurements, rates (n, 6) of the interface, and the uncertainty (6, 6) of the start pose by the log."""
     ident, rate = settings["identification"], settings["ingest"]["rate_hz"]
-    trial = load_trial(
-        folder / "pose.parquet",
-        folder / "markers.parquet",
-        start_window_s=ident["start_window_s"],
-        settle_s=ident["settle_after_gap_s"],
-    )
+    trial = load_trial(folder / "pose.parquet", folder / "markers.parquet", ident)
     options = settings["diagnosis"]
     rule = JumpRule(rate, settings["ingest"]["cutoff_hz"], options["jumps"])
     trial = replace(trial, interface=without_filled(trial.interface, folder / "markers.parquet", rule))

@@ -121,7 +121,8 @@ class Balanced:
     """A simulation whose machine had come to rest against what pulls at it at the start, as a `ForceResponse`.
 
     A force that is there at the start has moved the machine's springs to where they balance it, before the simulation
-    begins: its slope is that of the force and of the springs' new rest.
+    begins: its slope is that of the force and of the springs' new rest. On a joint that has such a spring of its own
+    the two are the same, and nothing is left of what the force is at the start.
 
     Parameters
     ----------
@@ -131,8 +132,10 @@ class Balanced:
         The plant.
     by_rest
         Change of the sensors (k, n, s) by the rest of each of the machine's springs [per m, rad].
+    dofs
+        Degrees of freedom (k,) of these springs' joints.
     pull
-        What one unit of force on each degree of freedom of the plant pulls at these springs' joints (nv, k).
+        What one unit of force on each degree of freedom of the plant pulls at these joints (nv, k).
     stiffness
         Of these springs (k,) [N/m, Nm/rad]; a joint without one has none that could move.
     """
@@ -142,15 +145,19 @@ class Balanced:
         linear: ForceResponse,
         model: mujoco.MjModel,
         by_rest: np.ndarray,
+        dofs: np.ndarray,
         pull: np.ndarray,
         stiffness: np.ndarray,
     ):
         self._linear, self._model, self._by_rest = linear, model, by_rest
         held = stiffness > 0
+        self._own = dofs[held]
         self._moved = np.where(held, -pull / np.where(held, stiffness, 1.0), 0.0)
+        self._moved[self._own] = 0.0
 
     def sensors(self, forces: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the change of the sensors (p, n, s) by forces (p, n, j) of motors (j,): as of `ForceResponse`."""
         driven = self._model.jnt_dofadr[joints_of(self._model, columns)]
         rest = forces[:, 0] @ self._moved[driven]
-        return self._linear.sensors(forces, columns) + np.tensordot(rest, self._by_rest, axes=1)
+        left = forces - np.where(np.isin(driven, self._own), forces[:, :1], 0.0)
+        return self._linear.sensors(left, columns) + np.tensordot(rest, self._by_rest, axes=1)

@@ -133,10 +133,7 @@ def export_motion(
     """
     fit = best_of([read_json(path, ("subject", "trial", "parameters", "cost")) for path in fits])
     settings = with_step(settings, step)
-    ident = settings["identification"]
-    recorded = load_trial(
-        pose, markers, start_window_s=ident["start_window_s"], settle_s=ident["settle_after_gap_s"]
-    )
+    recorded = load_trial(pose, markers, settings["identification"])
     bounds = load_limits(limits)
     replay = MotionReplay(**replay_inputs(recorded, bounds, robot, settings), nsim=1)
     view = _View(

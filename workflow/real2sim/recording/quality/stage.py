@@ -52,12 +52,13 @@ COLUMNS = (
 
 
 class GateSettings(TypedDict):
-    """Settings of the gates of a person: slices of the configuration, scales of the cost, start of a trial [s]."""
+    """Settings of the gates of a person: slices of the configuration, scales of the cost, start of a trial (s; 1)."""
 
     quality: QualitySettings
     ingest: IngestSettings
     scales: dict[str, float]
     start_window_s: float
+    start_known_share: float
 
 
 def raw_trial(
@@ -115,7 +116,7 @@ class _Ingested:
 
 
 def _tables(
-    person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial], start_window_s: float
+    person: Subject, settings: IngestSettings, raw: Mapping[str, RawTrial], start: tuple[float, float]
 ) -> _Ingested:
     """Read each trial as ingest does; its tables are thrown away."""
     out = _Ingested({}, {}, {}, {})
@@ -152,16 +153,16 @@ def _tables(
                 continue
             out.q[name] = np.column_stack([columns[f"q_{axis}"] for axis in AXES])
             if parse_trial(name)[0] == "dynamic":
-                out.start[name] = _start_gate(target / "pose.parquet", start_window_s)
+                out.start[name] = _start_gate(target / "pose.parquet", *start)
     return out
 
 
-def _start_gate(pose: Path, start_window_s: float) -> Gate:
+def _start_gate(pose: Path, start_window_s: float, known_share: float) -> Gate:
     """Return the gate that a replay needs: pelvis and interface known while the person stands at the start."""
-    share, wrong = start_window.check_pose_table(pose, start_window_s)
+    share, wrong = start_window.check_pose_table(pose, start_window_s, known_share)
     message = f"first {start_window_s:g} s: " + (wrong or f"interface known in {100 * share:.0f} %")
     verdict, remedy = (REFUSE, start_window.REMEDY) if wrong else (PASS, "")
-    return Gate("start", verdict, share, "1", None, message, remedy, None, "identification.start_window_s")
+    return Gate("start", verdict, share, "1", None, message, remedy, None, "identification.start_known_share")
 
 
 def _joint_limits(person: Subject, q: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
@@ -182,7 +183,8 @@ def quality_subject(
     Parameters
     ----------
     settings
-        Slices ``quality`` and ``ingest`` of the configuration, ``scales`` of the cost and ``start_window_s``, by name.
+        Slices ``quality`` and ``ingest`` of the configuration, ``scales`` of the cost, ``start_window_s`` and
+        ``start_known_share``, by name.
     raw
         The person's files as the workflow saw them.
     out
@@ -194,7 +196,8 @@ def quality_subject(
     limits, ingest = settings["quality"], settings["ingest"]
     overrides = _overrides(person, limits["override"])
     recorded, unreadable = _read_all(person, ingest)
-    ingested = _tables(person, ingest, recorded, settings["start_window_s"])
+    start = settings["start_window_s"], settings["start_known_share"]
+    ingested = _tables(person, ingest, recorded, start)
     q, refused = ingested.q, ingested.refused
     whole = {name: trial for name, trial in recorded.items() if not _is_too_short(refused.get(name))}
     measured, signatures = _measure_all(person, whole, limits, ingest)

@@ -39,9 +39,11 @@ from real2sim.diagnosis.search import (
     Pair,
     Screened,
     Search,
+    _carried,
     _carried_starts,
     _fresh_starts,
     _parabola,
+    _strengths_between,
     _together,
 )
 from real2sim.effects import catalogue
@@ -128,6 +130,24 @@ def test_fresh_starts_take_the_strap_of_the_axis_from_the_middle_of_its_range_to
     _, upper = placed.bounds()
     assert z[:, -1].max() == pytest.approx(upper[0])
     assert set(placed.starts()[:, 0]) <= set(z[:, -1])
+
+
+def test_strengths_are_tried_between_the_best_and_its_neighbours():
+    effect = next(e for e in EFFECTS if e.name == "coulomb" and not e.form)
+    placed = Placed(effect, effect.places(STRAP)[1], SCALES)
+    strap = [np.zeros(12), np.full(12, 0.5)]
+    z = np.array([np.append(base, x) for base in strap for x in (0.0, 1.0, 2.0, 3.0, 4.0)])
+    costs = np.array([90.0, 80.0, 70.0, 60.0, 60.0, 90.0, 50.0, 20.0, 20.001, 20.0])
+    # what holds always costs the same at any strength: the weakest of these is where something changes
+    between = _strengths_between(placed, z, costs, 3)
+    assert (between[:, :12] == 0.5).all()
+    assert between[:, 12] == pytest.approx([1.75, 1.5, 1.25, 2.25, 2.5, 2.75])
+    costs[5] = 1.0
+    assert _strengths_between(placed, z, costs, 1)[:, 12] == pytest.approx([0.5])
+    assert len(_strengths_between(placed, z, np.full(10, FAILED), 3)) == 0
+    # a preload has a sign and is nothing at zero: its tangent leads to every size of it
+    preload = next(e for e in EFFECTS if e.name == "preload" and not e.form)
+    assert len(_strengths_between(Placed(preload, preload.places(STRAP)[1], SCALES), z, costs, 3)) == 0
 
 
 def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
@@ -421,7 +441,7 @@ def test_where_less_is_left_than_a_second_cause_costs_only_axes_of_the_same_are_
             pooled.extend(screened)
             return []
 
-        def screen(self, base, places, weaken=True):
+        def screen(self, base, places, weaken=True, likely=None):
             return [replace(_promise(p, 3000.0), effects=(*base.effects, p)) for p in places]
 
     search = Axes(100.0)
@@ -634,6 +654,50 @@ def test_two_tangents_add_up_and_keep_the_prior_rows_of_each():
     assert both.jacobian[20].tolist() == [0.0] * 13 + [4.0]
 
 
+def test_an_effect_changes_beside_others_what_it_changes_beside_none():
+    plain = Tangent(np.zeros(12), np.ones(20), np.zeros((20, 12)))
+    alone = Beside(
+        np.append(plain.z, 2.0), np.append(np.full(20, 1.5), 8.0), np.full((21, 1), 7.0), plain.jacobian
+    )
+    # another effect with a prior row of its own is there already
+    here = Tangent(np.full(13, 0.1), np.append(np.full(20, 0.25), 3.0), np.arange(273.0).reshape(21, 13))
+    carried = _carried(plain, alone, here)
+    assert carried.z.tolist() == [0.1] * 13 + [2.0]
+    assert carried.residuals.tolist() == [0.75] * 20 + [3.0, 8.0]
+    assert carried.columns[:, 0].tolist() == [7.0] * 20 + [0.0, 7.0]
+    assert (carried.jacobian[:21, :13] == here.jacobian).all()
+    assert carried.jacobian[21, :13].tolist() == [0.0] * 13
+
+
+def test_beside_another_effect_those_are_screened_that_promise_most_and_the_best_of_each_name():
+    coulomb, preload = (next(e for e in EFFECTS if e.name == name) for name in ("coulomb", "preload"))
+    places = [Placed(e, w, SCALES) for e in (coulomb, preload) for w in e.places(STRAP)[:3]]
+    unscreened = placed_whole("tilt")
+    base = placed_whole("replay_lag")
+    search = Search(Pair(None, None, STRAP), CONFIG["diagnosis"]["search"])
+    lower, upper = STRAP.bounds()
+    nothing, middle = np.zeros((4, len(lower))), (lower + upper) / 2
+    search._plain = Tangent(middle, np.ones(4), nothing)
+    # a place that promises more leaves less of the first residual
+    for i, placed in enumerate(places):
+        own = len(placed.effect.parameters)
+        left = np.array([0.1 * (i + 1), 1.0, 1.0, 1.0])
+        at = np.concatenate([middle, np.zeros(own)])
+        search._alone[placed.key] = Beside(at, left, np.zeros((4, own)), nothing)
+    beside = np.zeros((4, len(middle) + 1))
+    here = Tangent(np.append(middle, 0.0), np.ones(4), beside)
+    sets = [(base, placed) for placed in (*places, unscreened)]
+    kept = [effects[-1].key for effects in search._likely(sets, here, 3)]
+    assert kept == [unscreened.key, *(p.key for p in places[:2]), places[3].key] or kept == [
+        *(p.key for p in places[:2]),
+        places[3].key,
+        unscreened.key,
+    ]
+    # before the plain plant was screened nothing is known
+    search._plain = None
+    assert search._likely(sets, here, 1) == sets
+
+
 def _screened(effects, predicted=1.0):
     return Screened(tuple(effects), predicted, np.zeros(12), _tangent(np.zeros(12)))
 
@@ -781,7 +845,7 @@ class _Listed(Search):
         self.fitted.append((" + ".join(p.key for p in effects), start[12:].tolist()))
         return Hypothesis(tuple(effects), start, (100.0, 100.0))
 
-    def screen(self, base, places, weaken=True):
+    def screen(self, base, places, weaken=True, likely=None):
         self.screened.append((base.key, {p.effect.name for p in places}, {p.where.axes for p in places}))
         return [_screened([*base.effects, place]) for place in places]
 
@@ -879,7 +943,7 @@ def test_without_an_effect_to_try_the_answer_is_none_or_unknown(monkeypatch, pla
         def fit(self, effects, start, final=False, tangent=None):
             return Hypothesis(tuple(effects), start, left)
 
-        def screen(self, base, places, weaken=True):
+        def screen(self, base, places, weaken=True, likely=None):
             return []
 
         def above(self, hypothesis):

@@ -503,6 +503,32 @@ def test_an_admittance_is_a_reaction_and_what_it_has_kept_of_the_force():
     assert both[1, -1, 0] == pytest.approx(0.5 * 10 * 2.0 * (1 - np.exp(-3.0 / 2.0)), rel=1e-6)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_a_controller_answers_alike_in_windows_of_any_length(delay):
+    steps, h, before = 60, 0.01, np.array([[3.0, -1.0]])
+    values = np.array([[0.4, delay, 0.05]])
+    pull = np.cumsum(np.random.default_rng(2).normal(size=(1, steps, 2)), axis=1)
+    # step by step: what was heard a delay ago, through the low-pass
+    late = np.concatenate([np.repeat(before[:, None], round(delay / h), axis=1), pull], axis=1)[:, :steps]
+    state, expected = before, []
+    for k in range(steps):
+        state = np.exp(-h / 0.05) * state + (1 - np.exp(-h / 0.05)) * late[:, k]
+        expected.append(0.4 * state)
+    for count in (2, 3):
+        answer = Answer(Reaction(values, before, h), before, h, steps)
+        for first in range(0, steps, count):
+            window = pull[:, first : first + count]
+            planned = answer.plan(count)
+            if answer.foreseen >= count and first >= count:
+                np.testing.assert_allclose(
+                    planned[0], np.array(expected)[first : first + count, 0], atol=1e-12
+                )
+            answer.learn(window)
+        # what it has learnt is all of it: the next steps of a force that stays
+        kept = answer._law._felt._state
+        np.testing.assert_allclose(0.4 * kept, expected[-1], atol=1e-12)
+
+
 def test_a_hold_with_an_integral_term_gathers_where_the_base_is_up_to_its_limit():
     steps, h = 1000, 0.01
     values = np.array([[60.0, 120.0, 12.0, 500.0, 6.0, 500.0]])

@@ -708,6 +708,7 @@ DiagnosisSearchSettings = TypedDict(
         "keep_jacobian": float,
         "longest_step": float,
         "strengths": int,
+        "strengths_between": int,
         "weakenings": int,
         "questionable_probability": float,
         "quiet_refits": int,

@@ -139,6 +139,9 @@ class Search:
         self._noise: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
         self._predicted: dict[tuple[str, bytes], tuple[float, ...]] = {}
         self._screened_from: Tangent | None = None
+        # what was screened beside the plain plant: its tangent there, and those of each effect by its key
+        self._plain: Tangent | None = None
+        self._alone: dict[str, Beside] = {}
 
     @property
     def threads(self) -> int:
@@ -316,14 +319,22 @@ class Search:
         in `fresh`.
         """
         z, cost = self.fresh(effects, base)
-        limit = fitted.chi2[0]
-        if not effects[-1].where.axes and self._screened_from is not None and not self.is_noise(fitted):
-            # what acts everywhere, a delay say, has bent every parameter: a start better than without it is worth a fit
-            limit = max(limit, float(np.sum(self._screened_from.residuals**2)))
-        if not cost < limit:
+        if not (cost < fitted.chi2[0] or self._is_worth_a_fit(effects, cost, fitted)):
             return fitted
         again = self.fit(effects, z)
         return again if again.chi2[0] < fitted.chi2[0] else fitted
+
+    def _is_worth_a_fit(self, effects: tuple[Placed, ...], cost: float, fitted: Hypothesis) -> bool:
+        """Return whether a start that costs more than ``fitted`` may yet end lower.
+
+        What acts everywhere, a delay say, has bent every parameter: a start better than without it is worth a fit.
+        """
+        if effects[-1].where.axes or self._screened_from is None:
+            return False
+        if not cost < float(np.sum(self._screened_from.residuals**2)):
+            return False
+        # asked last: noise is simulated for it
+        return not self.is_noise(fitted)
 
     def fresh(
         self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float] | None = None
@@ -335,14 +346,22 @@ class Search:
         a name in ``near`` are also tried at the searched number there. ``base`` holds the searched numbers of the
         system and of the effects before the last one, which has p.
         """
-        z = _fresh_starts(effects[-1], base, self.pair.system, self._settings["strengths"])
-        if near:
-            z = np.vstack([z, _carried_starts(effects[-1], base, near)])
-        costs = self._residuals(effects).costs(z)
-        self._count(len(z))
-        costs = np.where(np.isfinite(costs), costs, FAILED)
+        law, residuals = effects[-1], self._residuals(effects)
+        z = _fresh_starts(law, base, self.pair.system, self._settings["strengths"])
+        costs = self._costs(residuals, z)
+        # friction near the force that the strap carries slides or holds from move to move: its valleys are narrow
+        between = _strengths_between(law, z, costs, self._settings["strengths_between"])
+        more = _carried_starts(law, base, near) if near else z[:0]
+        z = np.vstack([z, between, more])
+        costs = np.concatenate([costs, self._costs(residuals, z[len(costs) :])])
         best = int(np.argmin(costs))
         return z[best], float(costs[best])
+
+    def _costs(self, residuals: JointResiduals, z: np.ndarray) -> np.ndarray:
+        """Return the costs (s,) of starts (s, n), of those that cannot be simulated the largest there is."""
+        costs = residuals.costs(z) if len(z) else np.empty(0)
+        self._count(len(z))
+        return np.where(np.isfinite(costs), costs, FAILED)
 
     def drawn(
         self, effects: tuple[Placed, ...], base: np.ndarray, near: Mapping[str, float], count: int
@@ -359,9 +378,7 @@ class Search:
                 lower[i], upper[i] = np.clip(about, lower[i], upper[i])
         points = scipy.stats.qmc.Sobol(len(lower), seed=self._settings["seed"]).random(count)
         z = np.hstack([np.tile(base, (count, 1)), lower + points * (upper - lower)])
-        costs = self._residuals(effects).costs(z)
-        self._count(len(z))
-        costs = np.where(np.isfinite(costs), costs, FAILED)
+        costs = self._costs(self._residuals(effects), z)
         order = np.argsort(costs, kind="stable")
         return z[order], costs[order]
 
@@ -392,17 +409,56 @@ class Search:
         self.pair = replace(before, train=train, held_out=held_out)
         return train is not before.train or held_out is not before.held_out
 
-    def screen(self, base: Hypothesis, places: Sequence[Placed], *, weaken: bool = True) -> list[Screened]:
-        """Predicted cost of adding each place to a fitted hypothesis, best first; ``weaken``: weaker starts too."""
+    def screen(
+        self, base: Hypothesis, places: Sequence[Placed], *, weaken: bool = True, likely: int | None = None
+    ) -> list[Screened]:
+        """Predicted cost of adding each place to a fitted hypothesis, best first; ``weaken``: weaker starts too.
+
+        With ``likely`` those places are screened that `_likely` expects the most of.
+        """
         problem = self._residuals(base.effects)
         here = Tangent(base.z, *problem.with_jacobian(base.z, np.arange(len(base.z))))
         self._screened_from = here
         self._count(problem.evaluations)
         sets = [(*base.effects, placed) for placed in places]
         sets = [effects for effects in sets if not conflict(effects)]
+        if likely is not None:
+            sets = self._likely(sets, here, likely)
         rounds = self._settings["weakenings"] if weaken else 1
         found = in_threads(self.threads, lambda effects: self._screen_one(effects, here, rounds), sets)
-        return sorted((one for one in found if one is not None), key=lambda s: s.predicted)
+        out = sorted((one for one in found if one is not None), key=lambda s: s.predicted)
+        if not base.effects and self._plain is None:
+            self._plain, self._alone = here, {s.effects[-1].key: s.tangent for s in out}
+        return out
+
+    def _likely(
+        self, sets: Sequence[tuple[Placed, ...]], here: Tangent, most: int
+    ) -> list[tuple[Placed, ...]]:
+        """The ``most`` sets whose last effect promises most beside the others, the best of each name among them.
+
+        What an effect does beside the others is taken to be what it did beside the plain plant, which no replay is
+        asked for. An effect that was not screened there is kept.
+        """
+        if self._plain is None:
+            return list(sets)
+        own_lower, own_upper = self.pair.system.bounds()
+        promised: list[tuple[float, tuple[Placed, ...]]] = []
+        for effects in sets:
+            alone = self._alone.get(effects[-1].key)
+            cost = -np.inf
+            if alone is not None:
+                limits = [placed.bounds() for placed in effects]
+                lower = np.concatenate([own_lower, *(low for low, _ in limits)])
+                upper = np.concatenate([own_upper, *(high for _, high in limits)])
+                tangent = _carried(self._plain, alone, here)
+                cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])[1]
+            promised.append((cost, effects))
+        promised.sort(key=lambda one: one[0])
+        first: dict[str, tuple[Placed, ...]] = {}
+        for _, effects in promised:
+            first.setdefault(effects[-1].effect.name, effects)
+        kept = {effects[-1].key for effects in (*(e for _, e in promised[:most]), *first.values())}
+        return [effects for effects in sets if effects[-1].key in kept]
 
     def refits_beside(self, base: Hypothesis, places: Sequence[Placed], most: int) -> list[Hypothesis]:
         """Refits of the ``most`` places that promise most beside a fitted hypothesis.
@@ -531,6 +587,17 @@ def _together(here: Tangent, one: Beside, other: Beside) -> Beside:
     )
 
 
+def _carried(plain: Tangent, alone: Beside, here: Tangent) -> Beside:
+    """Tangent of an effect beside others at ``here``, that changes there what it changes ``alone`` beside ``plain``."""
+    rows, own = len(plain.residuals), len(plain.z)
+    # rows of the others' priors stand between
+    between = len(here.residuals) - rows
+    changed = np.pad(alone.residuals[:rows] - plain.residuals, (0, between))
+    columns = np.vstack([np.pad(alone.columns[:rows], ((0, between), (0, 0))), alone.columns[rows:]])
+    residuals = np.concatenate([here.residuals + changed, alone.residuals[rows:]])
+    return Beside(np.concatenate([here.z, alone.z[own:]]), residuals, columns, here.jacobian)
+
+
 def _weakened(placed: Placed, x: np.ndarray, count: int) -> Iterator[np.ndarray]:
     """Yield a start (p,) of an effect, or several (s, p), then weaker and weaker ones, ``count`` in all.
 
@@ -571,6 +638,29 @@ def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: i
     elif not placed.where.axes:
         bases.append(np.concatenate([middle, base[len(middle) :]]))
     return np.array([np.concatenate([one, own]) for one in bases for own in x])
+
+
+# Starts whose costs differ by less than this share are alike: friction that holds always holds at any strength
+_ALIKE = 1e-3
+
+
+def _strengths_between(placed: Placed, z: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
+    """Starts (s, n) of an effect at strengths between the best of ``z`` (r, n) and the next weaker and stronger there.
+
+    ``count`` on either side, where its first constant is one of strength. Of starts that cost the same the weakest is
+    the best.
+    """
+    own = len(placed.effect.parameters)
+    best = min(np.flatnonzero(costs <= costs.min() * (1 + _ALIKE)), key=lambda i: z[i, -own] if own else 0.0)
+    if not own or not placed.effect.parameters[0].log or costs[best] >= FAILED:
+        return z[:0]
+    others = np.delete(z[best], z.shape[1] - own)
+    beside = np.sort(z[(np.delete(z, z.shape[1] - own, axis=1) == others).all(axis=1), -own])
+    here = z[best, -own]
+    ends = [*beside[beside < here][-1:], *beside[beside > here][:1]]
+    out = np.tile(z[best], (count * len(ends), 1))
+    out[:, -own] = [x for end in ends for x in np.linspace(here, end, count + 2)[1:-1]]
+    return out
 
 
 def _carried_starts(placed: Placed, base: np.ndarray, near: Mapping[str, float]) -> np.ndarray:

@@ -85,19 +85,32 @@ class HoldIntegral:
 
 
 class _LowPass:
-    """First order, of time constants (m,) [s], step by step on rows (m, w, 2)."""
+    """First order, of time constants (m,) [s], on rows (m, w, 2), all w steps at once."""
 
     def __init__(self, time_s: np.ndarray, state: np.ndarray, step_s: float):
-        self._decay, self._state = np.exp(-step_s / np.maximum(time_s, 1e-9))[:, None], state
+        self._decay, self._state = np.exp(-step_s / np.maximum(time_s, 1e-9)), state
+        # by number of steps: what is left of the state after each, and of the input of each step in each later one
+        self._by_steps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, rows: np.ndarray, *, keep: bool) -> np.ndarray:
-        out, state = np.empty_like(rows), self._state
-        for k in range(rows.shape[1]):
-            state = self._decay * state + (1 - self._decay) * rows[:, k]
-            out[:, k] = state
+        count = rows.shape[1]
+        if count not in self._by_steps:
+            self._by_steps[count] = self._weights(count)
+        of_state, of_input = self._by_steps[count]
+        out = of_input @ rows
+        out += of_state * self._state[:, None]
         if keep:
-            self._state = state
-        return out
+            self._state = out[:, -1]
+        return np.asarray(out)
+
+    def _weights(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return weights of the state (m, count, 1) and of the input (m, count, count) in the output of each step."""
+        decay, steps = self._decay[:, None], np.arange(count)
+        later = steps[:, None] - steps
+        of_input = np.where(
+            later >= 0, (1 - decay[..., None]) * decay[..., None] ** np.maximum(later, 0), 0.0
+        )
+        return (decay ** (steps + 1))[..., None], of_input
 
 
 class Answer:
@@ -107,6 +120,7 @@ class Answer:
         self._law, self._before = law, before[:, None]
         self.hears = law.hears
         self._delay = law.delay[:, None] / step_s
+        self._at_once = not self._delay.any()
         self._heard = np.empty((len(before), steps, before.shape[1]))
         # rows one after the other, which one index reaches
         self._flat = self._heard.reshape(-1, before.shape[1])
@@ -127,14 +141,19 @@ class Answer:
         first, count = self._known, heard.shape[1]
         self._known += count
         self._heard[:, first : self._known] = heard
-        self._law.force(self._late(first, count), keep=True)
+        # what is heard at once is not looked up; of a single sample `_late` takes nothing
+        at_once = self._at_once and self._known > 1
+        self._law.force(heard if at_once else self._late(first, count), keep=True)
 
     def _late(self, first: int, count: int) -> np.ndarray:
         """Return the delayed input in ``count`` steps from ``first`` on, (m, count, j)."""
-        at = np.arange(first, first + count) - self._delay
         last = self._known - 1
         if last < 1:
             return np.repeat(self._before, count, axis=1)
+        if self._at_once and first > last:
+            ahead = np.arange(first - last, first - last + count)[:, None]
+            return np.asarray(self._heard[:, last, None] + ahead * self._slope(count)[:, None])
+        at = np.arange(first, first + count) - self._delay
         low = np.minimum(np.maximum(np.floor(at).astype(int), 0), last - 1)
         share = np.minimum(at - low, 1)[..., None]
         low += self._row
@@ -145,12 +164,15 @@ class Answer:
         heard *= share
         heard += here
         if at.max() > last:
-            # a slope over as many steps as are extrapolated: that of the last step alone is noise
-            back = min(count, last)
-            slope = (self._heard[:, last] - self._heard[:, last - back]) / back
-            heard += np.maximum(at - last, 0)[..., None] * slope[:, None]
+            heard += np.maximum(at - last, 0)[..., None] * self._slope(count)[:, None]
         early = at < 0
         return np.where(early[..., None], self._before, heard) if early.any() else heard
+
+    def _slope(self, count: int) -> np.ndarray:
+        """Return the slope (m, j) a step, over as many steps as are extrapolated: that of the last alone is noise."""
+        last = self._known - 1
+        back = min(count, last)
+        return np.asarray((self._heard[:, last] - self._heard[:, last - back]) / back)
 
 
 class AnsweringForce(DrivenForce):

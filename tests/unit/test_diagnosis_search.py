@@ -173,6 +173,34 @@ def test_a_member_of_the_best_set_gives_way_to_its_rival_in_the_same_place():
     assert [h.key for h in tried] == [f"{tilt.key} + {late.key}"]
 
 
+def test_a_name_that_the_set_holds_elsewhere_is_tried_however_badly_it_starts():
+    """Friction that always holds is alike at any strength, and starts worse than a creep in its place."""
+    of_axis = {
+        (e.name, w.axes): Placed(e, w, SCALES)
+        for e in EFFECTS
+        if not e.form
+        for w in e.places(STRAP)
+        if w.axes
+    }
+    along_y, along_z = of_axis["coulomb", (1,)], of_axis["coulomb", (2,)]
+    crept = of_axis["creep", (2,)]
+    others = [of_axis[name, (2,)] for name in ("lugre", "hysteresis", "relaxation")]
+    settings = CONFIG["diagnosis"]["search"] | {"redraws": 0, "swap_refits": 2}
+    search = _Stuck()
+    search.fresh = lambda effects, base: (
+        np.concatenate([base, effects[-1].starts()[0]]),
+        9000.0 if effects[-1] is along_z else 3000.0,
+    )
+    search.fit = lambda effects, start: Hypothesis(tuple(effects), start, (2880.0, 2880.0))
+    z = np.concatenate([np.zeros(12), along_y.starts()[0], crept.starts()[0]])
+    found = [Hypothesis((along_y, crept), z, (2870.0, 2870.0))]
+    keys = {h.key for h in _swapped(search, found, [along_y, along_z, crept, *others], settings)}
+    assert f"{along_y.key} + {along_z.key}" in keys
+    # along another axis alone there is no such reason
+    lonely = [Hypothesis((crept,), np.concatenate([np.zeros(12), crept.starts()[0]]), (2870.0, 2870.0))]
+    assert along_z.key not in {h.key for h in _swapped(search, lonely, [along_z, *others], settings)}
+
+
 def test_two_laws_of_one_axis_give_way_to_two_others():
     """Neither of the true two is in the best set, and one of them alone leaves more than each that is."""
     places = {(e.name, e.form): Placed(e, e.places(STRAP)[0], SCALES) for e in EFFECTS}

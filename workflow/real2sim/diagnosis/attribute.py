@@ -592,6 +592,7 @@ def _swapped(
     """The best set with each member replaced by its rivals in the same place, also where it leaves only noise.
 
     A member that was found first may hold the place of another: friction is half of a hysteresis, and the other way.
+    Rivals of a name that the set holds elsewhere are refitted too, however their starts compare.
     """
     best = min(found, key=lambda h: sum(h.chi2))
     out: list[Hypothesis] = []
@@ -610,12 +611,26 @@ def _swapped(
             if _has_many_constants(effects[-1], settings["many_constants"]) and settings["redraws"]:
                 drawn, costs = search.drawn(effects, base, near, settings["redraws"])
                 starts[i] = min(starts[i], (drawn[0], float(costs[0])), key=lambda start: start[1])
-        order = sorted(range(len(rivals)), key=lambda i: starts[i][1])[: settings["swap_refits"]]
+        known = {placed.effect.name for placed in others}
+        order = _worth_refits(rivals, [cost for _, cost in starts], known, settings["swap_refits"])
         chosen = [(rivals[i], starts[i][0]) for i in order]
         tried = in_threads(search.threads, lambda one: search.fit(*one), chosen)
         out += tried
         best = min([best, *tried], key=lambda h: sum(h.chi2))
     return out
+
+
+def _worth_refits(
+    sets: Sequence[tuple[Placed, ...]], costs: Sequence[float], known: set[str], most: int
+) -> list[int]:
+    """Indices of the ``most`` sets that start best, and of the best start of every ``known`` name of a last member.
+
+    A name that a set holds on another axis adds no cause to it; and friction that always holds starts badly.
+    """
+    order = sorted(range(len(sets)), key=lambda i: costs[i])
+    names = [effects[-1].effect.name for effects in sets]
+    held = _first_of_each([i for i in order if names[i] in known], lambda i: names[i])
+    return list(dict.fromkeys((*order[:most], *held)))
 
 
 def _swapped_together(

@@ -354,7 +354,7 @@ class Search:
         more = _carried_starts(law, base, near) if near else z[:0]
         z = np.vstack([z, between, more])
         costs = np.concatenate([costs, self._costs(residuals, z[len(costs) :])])
-        best = int(np.argmin(costs))
+        best = _weakest_of_best(law, z, costs)
         return z[best], float(costs[best])
 
     def _costs(self, residuals: JointResiduals, z: np.ndarray) -> np.ndarray:
@@ -640,18 +640,31 @@ def _fresh_starts(placed: Placed, base: np.ndarray, system: System, strengths: i
     return np.array([np.concatenate([one, own]) for one in bases for own in x])
 
 
-# Starts whose costs differ by less than this share are alike: friction that holds always holds at any strength
+# Starts whose costs differ by less than this share are alike
 _ALIKE = 1e-3
+
+
+def _weakest_of_best(placed: Placed, z: np.ndarray, costs: np.ndarray) -> int:
+    """Index of the best of the starts ``z`` (r, n): friction that always holds is alike at any strength, the weakest.
+
+    ``costs`` (r,) are theirs; only starts of an effect whose first constant is a strength have a weakest.
+    """
+    own, best = len(placed.effect.parameters), int(np.argmin(costs))
+    if not own or not placed.effect.parameters[0].log:
+        return best
+    alike = np.flatnonzero(costs <= costs[best] * (1 + _ALIKE))
+    strengths = z[alike, -own]
+    # a spring that stiffens is the weaker the longer it stays a spring
+    weaker_is_less = placed.weaker(z[best, -own:])[0] <= z[best, -own]
+    return int(alike[np.argmin(strengths if weaker_is_less else -strengths)])
 
 
 def _strengths_between(placed: Placed, z: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:
     """Starts (s, n) of an effect at strengths between the best of ``z`` (r, n) and the next weaker and stronger there.
 
-    ``count`` on either side, where its first constant is one of strength. Of starts that cost the same the weakest is
-    the best.
+    ``count`` on either side, where its first constant is one of strength.
     """
-    own = len(placed.effect.parameters)
-    best = min(np.flatnonzero(costs <= costs.min() * (1 + _ALIKE)), key=lambda i: z[i, -own] if own else 0.0)
+    own, best = len(placed.effect.parameters), _weakest_of_best(placed, z, costs)
     if not own or not placed.effect.parameters[0].log or costs[best] >= FAILED:
         return z[:0]
     others = np.delete(z[best], z.shape[1] - own)

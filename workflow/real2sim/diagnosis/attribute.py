@@ -522,8 +522,8 @@ def _pairs(
     screens: list[list[Screened]] = []
     singly = _first_of_each(found, lambda h: h.names[0])
     for single in singly[: settings["pair_screens"]] if others else []:
-        others_there = _without(everything, single)
-        screens.append(search.screen(single, others_there, likely=settings["pair_pool"]))
+        beside = _without(everything, single)
+        screens.append(search.screen(single, beside, likely=settings["pair_pool"]))
         options += screens[-1][: settings["pair_refits"]]
     promising = [*found[0].effects, *_promising(screens[0] if screens else singles, settings["pair_pool"])]
     if not others:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from scipy.linalg import block_diag
 
 from real2sim.diagnosis.evidence import Evidence
 from real2sim.diagnosis.predicted import error_of_fit
@@ -441,17 +440,13 @@ class Search:
         """
         if self._plain is None:
             return list(sets)
-        own_lower, own_upper = self.pair.system.bounds()
         promised: list[tuple[float, tuple[Placed, ...]]] = []
         for effects in sets:
             alone = self._alone.get(effects[-1].key)
             cost = -np.inf
             if alone is not None:
-                limits = [placed.bounds() for placed in effects]
-                lower = np.concatenate([own_lower, *(low for low, _ in limits)])
-                upper = np.concatenate([own_upper, *(high for _, high in limits)])
                 tangent = _carried(self._plain, alone, here)
-                cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])[1]
+                cost = _bounded_step(tangent, *self._bounds(effects), self._settings["longest_step"])[1]
             promised.append((cost, effects))
         promised.sort(key=lambda one: one[0])
         first: dict[str, tuple[Placed, ...]] = {}
@@ -459,6 +454,12 @@ class Search:
             first.setdefault(effects[-1].effect.name, effects)
         kept = {effects[-1].key for effects in (*(e for _, e in promised[:most]), *first.values())}
         return [effects for effects in sets if effects[-1].key in kept]
+
+    def _bounds(self, effects: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and upper bounds (n + p,) of the system's searched numbers and those of effects."""
+        each = [self.pair.system.bounds(), *(placed.bounds() for placed in effects)]
+        lower, upper = (np.concatenate(ends) for ends in zip(*each, strict=True))
+        return lower, upper
 
     def refits_beside(self, base: Hypothesis, places: Sequence[Placed], most: int) -> list[Hypothesis]:
         """Refits of the ``most`` places that promise most beside a fitted hypothesis.
@@ -531,12 +532,8 @@ class Search:
             effects = (a.effects[-1], b.effects[-1])
             if effects[0].key == effects[1].key or conflict(effects):
                 continue
-            tangent = _together(here, a.tangent, b.tangent)
-            limits = [placed.bounds() for placed in effects]
-            own_lower, own_upper = self.pair.system.bounds()
-            lower = np.concatenate([own_lower, *(low for low, _ in limits)])
-            upper = np.concatenate([own_upper, *(high for _, high in limits)])
-            step, cost = _bounded_step(tangent, lower, upper, self._settings["longest_step"])
+            tangent = _carried(here, b.tangent, a.tangent.whole)
+            step, cost = _bounded_step(tangent, *self._bounds(effects), self._settings["longest_step"])
             out.append(Screened(effects, cost, tangent.z + step, tangent))
             out = sorted(out, key=lambda s: s.predicted)[:most]
         return out
@@ -570,21 +567,6 @@ def _parabola(starts: np.ndarray, at: np.ndarray, base: np.ndarray) -> list[np.n
     odd = (at[1] - at[0]) / (starts[1, 0] - starts[0, 0])
     even = ((at[0] + at[1]) / 2 - base) / starts[0, 0] ** 2
     return [(odd + 2 * even * x)[:, None] for x in starts[:, 0]]
-
-
-def _together(here: Tangent, one: Beside, other: Beside) -> Beside:
-    """Tangent of two effects at once, from those of each beside ``here``: what they change adds up."""
-    rows, columns = here.jacobian.shape
-    both = (one, other)
-    changed = here.residuals + sum(t.residuals[:rows] - here.residuals for t in both)
-    # prior rows of one effect do not see the other
-    own = block_diag(*(t.columns[rows:] for t in both))
-    return Beside(
-        np.concatenate([here.z, *(t.z[columns:] for t in both)]),
-        np.concatenate([changed, *(t.residuals[rows:] for t in both)]),
-        np.vstack([np.hstack([t.columns[:rows] for t in both]), own]),
-        here.jacobian,
-    )
 
 
 def _carried(plain: Tangent, alone: Beside, here: Tangent) -> Beside:
@@ -653,10 +635,10 @@ def _weakest_of_best(placed: Placed, z: np.ndarray, costs: np.ndarray) -> int:
     if not own or not placed.effect.parameters[0].log:
         return best
     alike = np.flatnonzero(costs <= costs[best] * (1 + _ALIKE))
-    strengths = z[alike, -own]
-    # a spring that stiffens is the weaker the longer it stays a spring
-    weaker_is_less = placed.weaker(z[best, -own:])[0] <= z[best, -own]
-    return int(alike[np.argmin(strengths if weaker_is_less else -strengths)])
+    # a spring that stiffens is the weaker the longer it stays a spring, and a filter has no weaker one
+    start = placed.starts()[-1]
+    way = placed.weaker(start)[0] - start[0]
+    return int(alike[np.argmax(way * z[alike, -own])]) if way else best
 
 
 def _strengths_between(placed: Placed, z: np.ndarray, costs: np.ndarray, count: int) -> np.ndarray:

@@ -107,6 +107,7 @@ def _sensors(left: list[list[float]], gap: dict[str, Any]) -> tuple[tuple[float,
 
 def _candidate(row: dict[str, Any], gap: dict[str, Any], together: bool) -> Candidate:
     sensors = () if together else _sensors(row["chi2_by_sensor"], gap)
+    row = row | (row["both_trials"] or {})
     if not row["effects"]:
         if "handicap" not in row:
             sys.exit("A law in `considered` has no `handicap`: answered by older code. Run the suite again.")
@@ -141,11 +142,13 @@ def examples(folder: Path, together: bool = False) -> list[Example]:
     for path in sorted((folder / "cases").glob("*/diagnosis.json")):
         answer = read_json(path, ("considered", "gap"))
         gap = answer["gap"]
-        if "by_sensor" not in gap:
-            sys.exit(f"{path}: expected gap.by_sensor. It was answered by older code: run the suite again.")
+        for key in ("by_sensor", "both_trials"):
+            if key not in gap:
+                sys.exit(f"{path}: expected gap.{key}. It was answered by older code: run the suite again.")
         sets = [_candidate(row, gap, together) for row in answer["considered"]]
         sensors = () if together else _sensors(gap["by_sensor"]["chi2_plain"], gap)
-        plain = Candidate((), tuple(gap["chi2_plain"]), sensors=sensors)
+        told = gap["both_trials"] or {"chi2": gap["chi2_plain"], "occam": 0.0}
+        plain = Candidate((), tuple(told["chi2"]), told["occam"], sensors=sensors)
         out.append(Example(sealed[answer["subject"]], plain, sets, tuple(gap["chi2_expected"])))
     return out
 

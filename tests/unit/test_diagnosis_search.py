@@ -32,7 +32,7 @@ from real2sim.diagnosis.attribute import (
     check_simulated,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
-from real2sim.diagnosis.refit import NO_RANGE, Hypothesis
+from real2sim.diagnosis.refit import NO_RANGE, Hypothesis, OfBoth
 from real2sim.diagnosis.search import (
     FAILED,
     Beside,
@@ -62,6 +62,11 @@ def _tangent(z):
     return Beside(z, np.zeros(1), np.zeros((1, 0)), np.zeros((1, len(z))))
 
 
+def _stands(pair, hypothesis, **how):
+    """Numbers that are fitted to both trials leave what those of the first leave."""
+    return OfBoth(hypothesis.z, hypothesis.by_sensor, hypothesis.occam), 1
+
+
 class _Stuck(Search):
     """A search whose fits end well only where they start at a force of 0.3, and badly elsewhere; 9 is unbearable."""
 
@@ -86,6 +91,9 @@ class _Stuck(Search):
 
     def bearable(self, effects, base, x):
         return np.concatenate([base, x])
+
+    def is_open(self, hypothesis):
+        return False
 
     def is_noise(self, hypothesis):
         return sum(hypothesis.chi2) < 6000
@@ -273,14 +281,16 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
 
     search = Search(Pair(Trial(), Trial(), about(PRIOR)), CONFIG["diagnosis"]["search"])
     found = Hypothesis((friction,), np.zeros(13), (6000.0, 6000.0))
-    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
+    monkeypatch.setattr("real2sim.diagnosis.search.fit_both", _stands)
     assert abs(search.excess(found)) < 0.1
     assert search.is_noise(found)
-    # what numbers leave that may move by as much as the fitted trial lets them is no misfit
+    # what numbers leave that are fitted to both trials counts, not what those of the first leave
     further = replace(found, chi2=(6000.0, 8000.0), z=np.full(13, 0.5))
-    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.full(1, 2000.0))
+    told = OfBoth(further.z, ((6000.0,), (6000.0,)), 0.0)
+    monkeypatch.setattr("real2sim.diagnosis.search.fit_both", lambda *given, **how: (told, 1))
     assert abs(search.excess(further)) < 0.1
-    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
+    monkeypatch.setattr("real2sim.diagnosis.search.fit_both", _stands)
+    further.both = None
     assert search.excess(replace(further, z=np.full(13, 0.6))) > 1
     # the plain plant is measured by the noise that whitens, and so is what leaves no more than that
     plain = Hypothesis((), np.zeros(12), (6000.0, 6000.0))
@@ -304,7 +314,7 @@ def test_noise_that_one_trial_passes_on_hides_nothing_of_the_other(monkeypatch):
             noise_of=lambda *given: np.sqrt(draws)[:, None],
         )
 
-    monkeypatch.setattr("real2sim.diagnosis.search.error_of_fit", lambda *given: np.zeros(1))
+    monkeypatch.setattr("real2sim.diagnosis.search.fit_both", _stands)
     search = Search(
         Pair(trial(4500.0, 900.0), trial(2880.0, 76.0), about(PRIOR)), CONFIG["diagnosis"]["search"]
     )
@@ -883,6 +893,9 @@ class _Listed(Search):
     def __init__(self):
         self.fitted, self.screened = [], []
 
+    def is_open(self, hypothesis):
+        return False
+
     def fit(self, effects, start, final=False, tangent=None):
         self.fitted.append((" + ".join(p.key for p in effects), start[12:].tolist()))
         return Hypothesis(tuple(effects), start, (100.0, 100.0))
@@ -966,7 +979,7 @@ def test_a_sensor_that_was_not_recorded_is_not_the_loudest():
     search.pair = SimpleNamespace(train=trial, held_out=trial, samples_by_sensor=((3600, 0), (3600, 0)))
     draws = np.column_stack([np.random.default_rng(0).normal(3600, 85, 15), np.zeros(15)])
     search._noise_of = lambda hypothesis: (draws, draws)
-    search._left_by = lambda hypothesis: hypothesis.by_sensor
+    search.told_by_both = lambda hypothesis: hypothesis.by_sensor
     quiet = Hypothesis((), np.zeros(12), (3500.0, 3500.0), sensors=((3500.0, 0.0), (3500.0, 0.0)))
     assert search.loudest_sensor(quiet) == "markers"
 
@@ -1023,3 +1036,60 @@ def test_a_plain_fit_that_cannot_be_simulated_is_refused_by_the_recordings_name(
     check_simulated(pair, replace(failed, chi2=(100.0, 100.0)))
     # noise so small that a gross misfit leaves as much: that is a misfit, and no failure
     check_simulated(Pair(slow, slow, pair.system), failed)
+
+
+class _Told(Search):
+    """A search of two trials, of which numbers that are fitted to both leave what ``told`` says, by key."""
+
+    threads, samples, samples_by_sensor, on_floor = 1, (100, 100), ((100,), (100,)), (False,)
+
+    def __init__(self, told):
+        self._settings, self._told, self.asked = CONFIG["diagnosis"]["search"], told, []
+        self.plain = None
+
+    def told_by_both(self, hypothesis):
+        self.asked.append(hypothesis.z[0])
+        left = self._told[hypothesis.z[0]]
+        hypothesis.both = OfBoth(hypothesis.z, ((left[0],), (left[1],)), 0.0)
+        return hypothesis.both.by_sensor
+
+
+def _leaving(number: float, *left: float) -> Hypothesis:
+    return Hypothesis((), np.array([number]), left)
+
+
+def test_what_could_leave_least_of_both_trials_is_fitted_to_both():
+    """The first trial left a number of the true law open; the law that predicts better explains the first less well."""
+    true, wrong, hopeless = _leaving(1, 110, 9000), _leaving(2, 900, 1000), _leaving(3, 5000, 5000)
+    search = _Told({1: (120.0, 105.0), 2: (950.0, 700.0)})
+    assert search.least([wrong, true, hopeless]) is true
+    assert search.asked == [1, 2]
+    assert search.best_first([hopeless, wrong, true])[0] is true
+    assert true.left == (120, 105)
+    # how much is unexplained is asked of what the fit to the first trial predicts
+    assert true.chi2 == (110, 9000)
+    assert search.above(true) == pytest.approx(8910)
+
+
+def test_a_rival_within_reach_of_the_best_is_fitted_to_both_too():
+    best, near, far = _leaving(1, 100, 100), _leaving(2, 150, 900), _leaving(3, 400, 900)
+    search = _Told({2: (160.0, 110.0)})
+    assert search.tell_rivals([best, near, far], lambda h: 100.0) is best
+    assert search.asked == [2]
+    assert near.deviance == 270
+
+
+def test_what_leaves_only_noise_or_is_not_simulated_is_not_fitted_again():
+    quiet, failed = _leaving(1, 900, 120), _leaving(2, FAILED, FAILED)
+    search = _Told({})
+    assert search.least([quiet, failed]) is quiet
+    assert search.asked == []
+
+
+def test_a_law_is_not_expected_to_explain_more_of_the_held_out_trial_than_of_the_fitted_one():
+    best, half, true = _leaving(1, 2000, 2000), _leaving(2, 3000, 9000), _leaving(3, 1100, 9000)
+    search = _Told({3: (1200.0, 700.0)})
+    # twice as much is left of the second trial: half of the gap there is 5 900 beyond noise
+    search.plain = _leaving(0, 10_000, 20_000)
+    assert search.least([best, half, true]) is true
+    assert search.asked == [3]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from real2sim.diagnosis import further, refit
 from real2sim.diagnosis.further import predict_further
-from real2sim.diagnosis.predicted import error_of_fit, information
+from real2sim.diagnosis.predicted import information
 from real2sim.diagnosis.refit import Hypothesis
 from real2sim.diagnosis.search import FAILED
 
@@ -66,27 +66,6 @@ def test_the_predictive_likelihood_is_that_of_a_gaussian(pair):
     exact = error @ np.linalg.solve(spread, error) + np.linalg.slogdet(spread)[1]
     assert sum(f.chi2 + f.occam for f in found) == pytest.approx(exact)
     assert all(f.chi2 > 0 for f in found)
-
-
-def test_the_error_of_a_fit_is_no_misfit_of_the_held_out_trial(pair):
-    """What the held-out trial is expected to leave is its noise and what the fitted one does not know."""
-    two, trial = pair
-    two.held_out = trial(6, 5.0)
-    fit = _at_optimum(two)
-    told = error_of_fit(two.train, two.held_out, fit, None, np.inf)
-    matrix, known = two.held_out.matrix, information((two.train,), fit, None)
-    error = matrix @ fit.z - two.held_out.measured
-    exact = error @ np.linalg.solve(np.eye(6) + matrix @ np.linalg.inv(known) @ matrix.T, error)
-    fixed = float(error @ error)
-    assert exact < fixed
-    assert told == pytest.approx([fixed - exact])
-    # by sensor: none that loses by the move gets more
-    two.held_out.sensors = {"markers": 1, "robot log": 1}
-    parts = error_of_fit(two.train, two.held_out, fit, None, np.inf)
-    assert parts.sum() == pytest.approx(fixed - exact)
-    assert (parts >= 0).all()
-    two.held_out.measured[0] = np.nan
-    assert error_of_fit(two.train, two.held_out, fit, None, np.inf).tolist() == [0.0, 0.0]
 
 
 def test_what_only_a_third_trial_tells_pays_for_its_own_prior(pair):

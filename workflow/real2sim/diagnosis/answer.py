@@ -284,12 +284,16 @@ def _checked(
     misfit = None
     if decision.chosen is not None:
         misfit = misfit_of(found, chosen(found.attribution, decision), options, progress)
-        decision, misfit = told_apart(misfit, found, decision, options)
         measured = misfit.measured
     elif decision.verdict == UNKNOWN:
         measured = _measured(found, options, progress)
     else:
         return decision, None, None
+    if measured is not None:
+        attribution, laws = found.attribution, [law.hypothesis for law in measured.laws]
+        found.tell_rivals([attribution.plain, *attribution.hypotheses, *laws], options)
+    if misfit is not None:
+        decision, misfit = told_apart(misfit, found, decision, options)
     if measured is None:
         return decision, misfit, None
     unknown = decision.probabilities[UNKNOWN]
@@ -377,7 +381,8 @@ def _configured(machines: Sequence[Machine], pair: Pair) -> Machine | None:
     own, plain = machine.pair, machine.plain
     if machine.trials != machines[0].trials:
         own = replace(own, train=own.held_out, held_out=own.train)
-        plain = replace(plain, chi2=plain.chi2[::-1], j=plain.j[::-1], sensors=plain.sensors[::-1])
+        both = plain.both and replace(plain.both, by_sensor=plain.both.by_sensor[::-1])
+        plain = replace(plain, chi2=plain.chi2[::-1], j=plain.j[::-1], sensors=plain.sensors[::-1], both=both)
     own = replace(own, exchanged=pair.exchanged)
     return replace(machine, trials=machines[0].trials, pair=own, plain=plain)
 
@@ -495,6 +500,7 @@ class _Account:
                 "chi2_best": [list(left) for left in self._best.by_sensor],
                 "chi2_expected": [list(count) for count in self._pair.samples_by_sensor],
             },
+            "both_trials": _of_both_trials(self._before, self._attribution),
             "further": self._further(),
         }
 
@@ -767,7 +773,15 @@ def _left_by(h: Hypothesis, attribution: Attribution, exchanged: bool) -> dict[s
         "chi2_by_sensor": [list(left) for left in h.by_sensor],
         "J": h.j[0 if exchanged else 1],
         "occam": h.occam - attribution.plain.occam,
+        "both_trials": _of_both_trials(h, attribution),
     }
+
+
+def _of_both_trials(h: Hypothesis, attribution: Attribution) -> dict[str, Any] | None:
+    """Return what numbers fitted to both trials leave, by which sets compete; None where that was not asked."""
+    if h.both is None:
+        return None
+    return {"chi2": list(h.left), "occam": h.both.occam - attribution.plain.occam}
 
 
 def _rival(attribution: Attribution, rival: CompetingLaw, exchanged: bool, kept: float) -> dict[str, Any]:

@@ -180,7 +180,7 @@ def attribute(
         Naming the recording, where the plain fit cannot be simulated.
     """
     search = Search(pair, settings)
-    plain = search.fit((), start, final=True)
+    plain = search.plain = search.fit((), start, final=True)
     check_simulated(pair, plain)
     count = search.samples
     progress(f"plain fit: chi-squared {plain.chi2[0]:.0f} of {count[0]}, held out {plain.chi2[1]:.0f}")
@@ -232,7 +232,8 @@ def _several(
         out += _swapped(search, out, everything, settings)
         grown = _grow(search, out, promising, everything, settings, progress)
         out += grown
-        if min(sum(h.chi2) for h in out) in {sum(h.chi2) for h in grown}:
+        best = search.least(out)
+        if any(h is best for h in grown):
             out += _swapped(search, out, everything, settings)
         out += _swapped_together(search, out, everything)
         out += _paired_anew(search, plain, out, everything, settings)
@@ -274,7 +275,7 @@ def _neighbours(
             if p.key not in taken and _alike(effects[member], p) and (not axes or _rivals(effects[member], p))
         ]
         out += search.refits_beside(smaller, rivals, settings["swap_refits"])
-    return sorted(_best_of_each(out), key=lambda h: sum(h.chi2))
+    return search.best_first(_best_of_each(out))
 
 
 def _with_best_converged(
@@ -294,7 +295,7 @@ def _with_best_converged(
             out.append(_converged(search, plain, h, settings))
         else:
             out.append(h)
-    return sorted(out, key=lambda h: sum(h.chi2))
+    return search.best_first(out)
 
 
 def _converged(
@@ -322,19 +323,19 @@ def _without_spikes(
 ) -> list[Hypothesis]:
     """The hypotheses, with `outliers` judged by the jumps in what the best of them leaves, alone and beside others."""
     outliers = [placed for placed in everything if placed.effect.name == "outliers"]
-    best = min([plain, *found], key=lambda h: sum(h.chi2))
+    best = search.least([plain, *found])
     if not outliers or not search.mark_spikes(best):
         return found
     kept = [h for h in found if "outliers" not in h.names]
     # what was added for the sake of the jumps is not needed beside them: the best set of every size is tried
-    sized = _first_of_each(sorted(kept, key=lambda h: sum(h.chi2)), lambda h: str(len(h.effects)))
+    sized = _first_of_each(search.best_first(kept), lambda h: str(len(h.effects)))
     bases = [*(h for h in sized if len(h.effects) <= len(best.effects)), plain]
     more = in_threads(search.threads, lambda h: search.fit((*h.effects, *outliers), h.z), bases)
     # what a set gains by being fitted on is not what the jumps explain: it is fitted on without them too
-    first = min(more, key=lambda h: sum(h.chi2))
+    first = search.least(more)
     if len(first.effects) > len(outliers):
         more.append(search.fit(first.effects[: -len(outliers)], first.z))
-    return sorted(_best_of_each([*kept, *more]), key=lambda h: sum(h.chi2))
+    return search.best_first(_best_of_each([*kept, *more]))
 
 
 def _alone(
@@ -357,14 +358,14 @@ def _alone(
     first = settings["pair_rivals"]
     found = in_threads(search.threads, lambda one: _single(search, one, plain), shortlist[:first])
     for screened in shortlist[first:]:
-        best = min(found, key=lambda h: sum(h.chi2))
+        best = search.least(found)
         rival = any(_alike(placed, screened.effects[-1]) for placed in best.effects)
         if not rival and _behind(search, screened, best, plain, settings):
             continue
         found.append(_single(search, screened, plain))
     if not found:
         return []
-    return sorted(_beside_best(search, found), key=lambda h: sum(h.chi2))
+    return search.best_first(_beside_best(search, found))
 
 
 def _behind(
@@ -384,7 +385,7 @@ def _beside_best(search: Search, found: list[Hypothesis]) -> list[Hypothesis]:
 
     What holds another as a special case (a law of friction with more constants) cannot be worse than it.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     if not search.is_noise(best):
         return found
 
@@ -414,7 +415,7 @@ def _other_forms(
         and _alike(best.effects[0], s.effects[0])
     ]
     more = in_threads(search.threads, lambda s: _single(search, s, plain), rest)
-    return sorted([*found, *more], key=lambda h: sum(h.chi2))
+    return search.best_first([*found, *more])
 
 
 def _other_laws(
@@ -435,7 +436,7 @@ def _other_laws(
     starts = in_threads(search.threads, lambda p: ((p,), *search.fresh((p,), best.base, near)), laws)
     starts = sorted(starts, key=lambda start: start[2])[: settings["swap_refits"]]
     tried = in_threads(search.threads, lambda start: search.fit(start[0], start[1]), starts)
-    return sorted([*found, *tried], key=lambda h: sum(h.chi2))
+    return search.best_first([*found, *tried])
 
 
 def _redrawn(
@@ -460,7 +461,7 @@ def _redrawn(
         starts, _ = search.drawn((law,), best.base, _named(best, 0), settings["redraws"])
         from_where += [(law, z) for z in starts[: settings["redraw_refits"]]]
     tried = in_threads(search.threads, lambda one: search.fit((one[0],), one[1]), from_where)
-    return sorted(_best_of_each([*found, *tried]), key=lambda h: sum(h.chi2))
+    return search.best_first(_best_of_each([*found, *tried]))
 
 
 def _has_many_constants(law: Placed, many: int) -> bool:
@@ -536,10 +537,10 @@ def _pairs(
     few = settings["pair_rivals"]
     out = in_threads(search.threads, search.fit_screened, unlike[:few])
     for option in unlike[few:]:
-        if search.is_noise(min(out, key=lambda h: sum(h.chi2))):
+        if search.is_noise(search.least(out)):
             break
         out.append(search.fit_screened(option))
-    return sorted(out, key=lambda h: sum(h.chi2)), promising
+    return search.best_first(out), promising
 
 
 def _promising(screened: Sequence[Screened], most: int) -> list[Placed]:
@@ -581,7 +582,7 @@ def _best_of_each(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     best: dict[frozenset[str], Hypothesis] = {}
     for h in found:
         key = _keys(h.effects)
-        if key not in best or sum(h.chi2) < sum(best[key].chi2):
+        if key not in best or sum(h.left) < sum(best[key].left):
             best[key] = h
     return list(best.values())
 
@@ -594,7 +595,7 @@ def _swapped(
     A member that was found first may hold the place of another: friction is half of a hysteresis, and the other way.
     Rivals of a name that the set holds elsewhere are refitted too, however their starts compare.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     out: list[Hypothesis] = []
     for member in best.effects:
         if not any(placed is member for placed in best.effects):
@@ -616,7 +617,7 @@ def _swapped(
         chosen = [(rivals[i], starts[i][0]) for i in order]
         tried = in_threads(search.threads, lambda one: search.fit(*one), chosen)
         out += tried
-        best = min([best, *tried], key=lambda h: sum(h.chi2))
+        best = search.least([best, *tried])
     return out
 
 
@@ -641,7 +642,7 @@ def _swapped_together(
     Each effect that they are mistaken for stands in for all of them: alone on one axis it leaves what the other does,
     and nothing shows that it would do better on both. So also where the set leaves nothing but noise.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     first = best.effects[0]
     of_axes = all(len(p.where.axes) == 1 and _alike(first, p) for p in best.effects)
     if len(best.effects) < 2 or not of_axes:
@@ -672,7 +673,7 @@ def _paired_anew(
     the axis is fitted beside what the set has elsewhere, every other one is screened beside it, and those pairs that
     promise most are refitted.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     fitted = {_keys(h.effects): h for h in found}
     out: list[Hypothesis] = []
     along = [p.where.axes for p in best.effects if len(p.where.axes) == 1]
@@ -750,13 +751,13 @@ def _pruned(search: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     What was added first may have stood for what came later; and an effect that stuck alone (dry friction has hardly a
     slope before it slips) may do alone what it does in company.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     out: list[Hypothesis] = []
     while len(best.effects) > 1:
         parts = [_without_member(best, member) for member in range(len(best.effects))]
         smaller = in_threads(search.threads, lambda part: search.fit(*part), parts)
         out += smaller
-        best = min(smaller, key=lambda h: sum(h.chi2))
+        best = search.least(smaller)
     return out
 
 
@@ -767,7 +768,7 @@ def _plainer(
 
     Such a form costs its set a share of the probability: a form of fewer numbers that does as well bears no such doubt.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     out: list[Hypothesis] = []
     for member, placed in enumerate(best.effects):
         if not placed.effect.indistinguishable:
@@ -829,7 +830,7 @@ def _grow(
 
     Tried are those that were promising beside the first effect, and more axes of those that the set holds.
     """
-    best = min(found, key=lambda h: sum(h.chi2))
+    best = search.least(found)
     out: list[Hypothesis] = []
     while len(best.effects) < settings["most_effects"]:
         if search.is_noise(best):
@@ -838,7 +839,7 @@ def _grow(
         options = search.screen(best, _without(list(places.values()), best))[: settings["pair_refits"]]
         more = in_threads(search.threads, search.fit_screened, options)
         out += more
-        grown = min([best, *more], key=lambda h: sum(h.chi2))
+        grown = search.least([best, *more])
         if _earned(search, best, grown) < settings["grow_share"]:
             break
         best = grown

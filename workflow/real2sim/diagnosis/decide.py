@@ -34,13 +34,14 @@ ISOLATED = ("outliers",)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A set of effects as the decision sees it: names and chi-squared of each trial.
+    """A set of effects as the decision sees it: names and chi-squared of each trial, by which it competes with others.
 
     ``occam`` is what the marginal likelihood adds to chi-squared (`JointResiduals.occam_of`), less what it adds for the
     plain plant. ``places`` are, by name, where its effects of that name act and in which forms: as many as ``names``,
     or none. ``unlisted``: a law without a name; ``ambiguous``: one of its effects stands for laws without a name as
     often as for itself. ``sensors``: chi-squared and residuals of each sensor, all trials together, and whether
-    it is on its floor; empty: all is of one sensor that is not.
+    it is on its floor; empty: all is of one sensor that is not. Theirs is the chi-squared of the fit to the first
+    trial, which tells how much is unexplained, also where that of ``chi2`` is of numbers fitted to both trials.
     """
 
     names: tuple[str, ...]
@@ -57,6 +58,11 @@ class Candidate:
             *(self.sensors or ((sum(self.chi2), sum(samples), False),)), strict=True
         )
         return max(above(left, expected, on_floor, share), 0.0)
+
+    @property
+    def left(self) -> float:
+        """Chi-squared of all trials that tells how much is unexplained."""
+        return sum(left for left, _, _ in self.sensors) if self.sensors else sum(self.chi2)
 
     @property
     def deviance(self) -> float:
@@ -128,9 +134,14 @@ def log_likelihood(difference: float, left: float, c: DiagnosisCalibrationSettin
     return -c["inexact_ways"] / 2 * float(np.log1p(difference / width))
 
 
-def difference_for(log_odds: float, c: DiagnosisCalibrationSettings) -> float:
-    """Return the difference in deviance that makes up for prior odds, where the better set leaves only noise."""
-    return c["overdispersion"] * c["inexact_ways"] * float(np.expm1(2 * log_odds / c["inexact_ways"]))
+def difference_for(log_odds: float, c: DiagnosisCalibrationSettings, left: float = 0.0) -> float:
+    """Return the difference in deviance that makes up for prior odds, where the better set leaves so much beyond noise.
+
+    The inverse of `log_likelihood`.
+    """
+    return (c["overdispersion"] * c["inexact_ways"] + left) * float(
+        np.expm1(2 * log_odds / c["inexact_ways"])
+    )
 
 
 def further_price(c: DiagnosisCalibrationSettings) -> float:
@@ -185,8 +196,8 @@ def logits(
     listed = [x for x in candidates if not x.unlisted]
     share = unexplained(plain, listed, samples, c)
     # what a law that explains all but noise would leave, by the set that leaves least
-    least = min((plain, *listed), key=lambda x: sum(x.chi2))
-    noise = sum(least.chi2) - least.beyond(samples, c["noise_share"])
+    least = min((plain, *listed), key=lambda x: x.left)
+    noise = least.left - least.beyond(samples, c["noise_share"])
     odds = _odds_of_unlisted(share, c)
 
     def gained(deviance: float) -> float:

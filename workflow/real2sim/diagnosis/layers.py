@@ -74,6 +74,7 @@ def layered(
             )
             if law is not None
         ]
+        found.tell_rivals([own, *(law.hypothesis for law in tried)], options)
         told = [found.candidate(law.hypothesis, options, sets[index].names) for law in tried]
         if tried:
             best = min(range(len(tried)), key=lambda i: told[i].deviance)
@@ -114,7 +115,7 @@ def _worth_a_layer(found: Found, decision: Decision, options: DiagnosisSettings)
     share = options["search"]["grow_share"]
     order = sorted(
         (i for i, h in enumerate(attribution.hypotheses) if search.beyond(h) < (1 - share) * gap),
-        key=lambda i: sum(attribution.hypotheses[i].chi2) + attribution.hypotheses[i].occam,
+        key=lambda i: attribution.hypotheses[i].deviance,
     )
     single = [i for i in order if len(attribution.hypotheses[i].effects) == 1]
     return list(dict.fromkeys([*order[:1], *single[:1]]))

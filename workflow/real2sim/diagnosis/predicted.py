@@ -1,7 +1,7 @@
 """What a hypothesis leaves of a trial that it was not fitted to, with numbers that move as far as is left open.
 
 The numbers of a fit are known as well as its trials let them be. With fixed numbers, a true law leaves more than noise
-of another trial that tells those better: what it leaves is the error of the fit, and says nothing against the law.
+of another trial that tells those better, and that says nothing against the law.
 """
 
 from __future__ import annotations
@@ -73,30 +73,3 @@ def predict(
     if not np.isfinite([*left, out.occam]).all():
         return None, np.zeros(len(known)), known
     return out, step, more
-
-
-def error_of_fit(
-    train: Evidence, held_out: Evidence, hypothesis: Hypothesis, system: System, longest: float
-) -> np.ndarray:
-    """Return the chi-squared (s,) by sensor of the held-out trial that is the error of the fit to the other one.
-
-    So much less is left, the cost of the move counted, with numbers that have moved as far as the fitted trial lets
-    them. With the covariance of noise and of what is not known of the numbers, the rest is a quadratic form of the
-    residuals that fixed numbers leave, whose expectation is their number. It is simulated with the numbers that have
-    moved: of friction, say, the tangent promises more than a move brings. ``longest`` is the longest step of a searched
-    number that a tangent is believed for. Nothing where the simulation does not bear the move.
-    """
-    z = hypothesis.z
-    problem = following(held_out, hypothesis, system, coarse=True)
-    r, jacobian = problem.with_jacobian(z, np.arange(len(z)))
-    bounds = np.maximum(problem.lower - z, -longest), np.minimum(problem.upper - z, longest)
-    known = information((train,), hypothesis, system)
-    _, step, _ = predict(held_out, r[: held_out.rows], jacobian[: held_out.rows], known, bounds)
-    both = np.stack([r, problem.many((z + step)[None])[0]])[:, : held_out.rows]
-    if not np.isfinite(both).all():
-        return np.zeros(len(held_out.sensors))
-    before, left = by_sensor(both, held_out.sensors.values())
-    less = max(float((before - left).sum() - step @ known @ step), 0.0)
-    # taken from the sensors that gain by the move
-    gained = np.maximum(before - left, 0.0)
-    return np.asarray(less * gained / max(gained.sum(), 1e-300))

@@ -27,6 +27,18 @@ NO_RANGE = 1e-4
 ENDLESS = 1e9
 
 
+@dataclass(frozen=True)
+class OfBoth:
+    """Numbers ``z`` (n + p,) that are fitted to both trials, and chi-squared that they leave by sensor, trial by trial.
+
+    ``occam``: what Laplace's approximation of the marginal likelihood of both trials adds to chi-squared.
+    """
+
+    z: np.ndarray
+    by_sensor: tuple[tuple[float, ...], ...]
+    occam: float
+
+
 @dataclass
 class Hypothesis:
     """Effects with fitted values: searched numbers ``z`` (n + p,) of n parameters and of the effects, and chi-squared.
@@ -35,7 +47,7 @@ class Hypothesis:
     ``converged``: it was refitted to the end. ``occam``: what Laplace's approximation of the marginal likelihood of the
     training trial adds to chi-squared (`occam_of`). ``sensors`` are ``chi2`` by sensor, trial by trial, where there is
     more than one. ``motions`` are those (n, axes) of the interface in the free runs of both trials, where planned
-    forces follow them.
+    forces follow them. ``both`` is what it leaves with numbers that are fitted to both trials, where that was asked.
     """
 
     effects: tuple[Placed, ...]
@@ -47,6 +59,23 @@ class Hypothesis:
     occam: float = 0.0
     sensors: tuple[tuple[float, ...], ...] = ()
     motions: tuple[np.ndarray, ...] = ()
+    both: OfBoth | None = None
+
+    @property
+    def left_by_sensor(self) -> tuple[tuple[float, ...], ...]:
+        """Chi-squared by sensor, trial by trial: with numbers that are fitted to both, where that was asked."""
+        return self.by_sensor if self.both is None else self.both.by_sensor
+
+    @property
+    def left(self) -> tuple[float, float]:
+        """The same of all sensors."""
+        train, held_out = (sum(left) for left in self.left_by_sensor)
+        return train, held_out
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the logarithm of the evidence, but for what all hypotheses have in common."""
+        return sum(self.left) + (self.occam if self.both is None else self.both.occam)
 
     @property
     def by_sensor(self) -> tuple[tuple[float, ...], ...]:
@@ -195,14 +224,14 @@ class JointResiduals(least_squares.Residuals):
         out[:, ~forces] = super().jacobian(z, r, free[~forces])
         return out
 
-    def occam_of(self, z: np.ndarray, jacobian: np.ndarray) -> float:
+    def occam_of(self, z: np.ndarray, jacobian: np.ndarray, free: np.ndarray | None = None) -> float:
         """Return what the marginal likelihood adds to chi-squared, by a Jacobian (n_r, k) in the coordinates ``free``.
 
         Twice the negative logarithm of the share of the prior that the data leave, and the squared distance from the
         prior's mean (Laplace's approximation; MacKay, Neural Comput. 4 (1992) 415). A coordinate without a prior has a
         uniform one between its bounds; one that the data do not determine costs nothing.
         """
-        free = self.free
+        free = self.free if free is None else free
         uniform = ~np.isfinite(self.prior_sd[free])
         sd = prior_widths(self.prior_sd, self.lower, self.upper)[free]
         curvature = jacobian.T @ jacobian

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from real2sim.diagnosis.both_trials import fit_both
 from real2sim.diagnosis.evidence import Evidence
-from real2sim.diagnosis.predicted import error_of_fit
 from real2sim.diagnosis.refit import BATCH, Hypothesis, JointResiduals, refit, refit_freely
 from real2sim.diagnosis.sensors import above, are_on_floor, by_sensor, pooled
 from real2sim.effects.catalogue import Placed
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 # Chi-squared of a set of effects that MuJoCo gives up on
 FAILED = 1e12
+# Hypotheses that are refitted to both trials before it is asked again which of them could be the best
+_AT_A_TIME = 2
 
 
 def failed(sensors: int) -> tuple[float, ...]:
@@ -136,7 +138,8 @@ class Search:
         self.evaluations = 0
         self._counting = Lock()
         self._noise: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
-        self._predicted: dict[tuple[str, bytes], tuple[float, ...]] = {}
+        # the plain fit, once there is one
+        self.plain: Hypothesis | None = None
         self._screened_from: Tangent | None = None
         # what was screened beside the plain plant: its tangent there, and those of each effect by its key
         self._plain: Tangent | None = None
@@ -226,7 +229,10 @@ class Search:
         return bool(left < count + self._settings["pair_excess_sigma"] * np.sqrt(2 * max(count, 1.0)))
 
     def above(self, hypothesis: Hypothesis) -> float:
-        """Return chi-squared of both trials less its expectation; a sensor on its floor is granted that."""
+        """Return chi-squared of both trials less its expectation; a sensor on its floor is granted that.
+
+        What the fit to the first trial leaves: how much is unexplained is asked of what it predicts.
+        """
         return above(pooled(hypothesis.by_sensor), pooled(self.samples_by_sensor), self.on_floor)
 
     def above_by_trial(self, hypothesis: Hypothesis) -> tuple[float, float]:
@@ -243,36 +249,94 @@ class Search:
         """Return what a hypothesis leaves beyond noise, in SD of what noise leaves.
 
         Where that stands out, the noise is simulated through the hypothesis itself, which may pass on more of it, and
-        of the held-out trial counts what numbers leave that may move as far as the fitted one lets them. Each trial
-        counts in units of its own scatter (Stouffer's sum): one that passes on much noise hides nothing of the other.
+        what counts is left by numbers that are fitted to both trials. Each trial counts in units of its own scatter
+        (Stouffer's sum): one that passes on much noise hides nothing of the other.
         """
         expected = pooled(self.samples_by_sensor)
-        out = _excess(pooled(hypothesis.by_sensor), expected, self.on_floor, None)
+        out = _excess(pooled(hypothesis.left_by_sensor), expected, self.on_floor, None)
         if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
             return out
         return sum(self.excess_of_trials(hypothesis)) / float(np.sqrt(2))
 
-    def _left_by(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
-        """Chi-squared by sensor, trial by trial, of the held-out one without the error of the fit."""
-        fitted, held_out = hypothesis.by_sensor
-        key = hypothesis.key, hypothesis.z.tobytes()
-        if key not in self._predicted:
-            pair, longest = self.pair, self._settings["longest_step"]
-            error = error_of_fit(pair.train, pair.held_out, hypothesis, pair.system, longest)
-            # what was judged may be of a finer time step than the error
-            self._predicted[key] = tuple(np.maximum(np.asarray(held_out) - error, 0.0).tolist())
-        return fitted, self._predicted[key]
+    def told_by_both(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
+        """Chi-squared by sensor, trial by trial, with numbers that are fitted to both: asked once, and kept."""
+        if hypothesis.both is None:
+            own = self._settings
+            both, count = fit_both(
+                self.pair,
+                hypothesis,
+                iterations=own["iterations"],
+                ftol=own["ftol"],
+                keep=own["keep_jacobian"],
+            )
+            self._count(count)
+            hypothesis.both = both
+            give_back()
+        return hypothesis.both.by_sensor
+
+    def is_open(self, hypothesis: Hypothesis) -> bool:
+        """Return whether numbers that are fitted to both trials may leave less: the held-out one is not all noise.
+
+        Not where that was asked, and not of what cannot be simulated.
+        """
+        if hypothesis.both is not None or max(hypothesis.chi2) >= FAILED:
+            return False
+        sd = np.sqrt(2 * max(self.samples[1], 1.0))
+        return bool(self.above_by_trial(hypothesis)[1] > self._settings["pair_excess_sigma"] * sd)
+
+    def tell_rivals(
+        self, found: Sequence[Hypothesis], reach: Callable[[Hypothesis], float], *, priced: bool = True
+    ) -> Hypothesis:
+        """Return the hypothesis of least deviance, with numbers that are fitted to both trials where that matters.
+
+        That is asked of those that would come within ``reach`` of the best one if they left as little of the held-out
+        trial as of the fitted one (`_could_gain`). ``priced``: by deviance, else by chi-squared alone.
+        """
+
+        def cost(h: Hypothesis) -> float:
+            return h.deviance if priced else sum(h.left)
+
+        while True:
+            best = min(found, key=cost)
+            most = cost(best) + reach(best)
+            gains = {i: self._could_gain(h) for i, h in enumerate(found) if self.is_open(h)}
+            could = {i: cost(found[i]) - gain for i, gain in gains.items() if gain > 0}
+            asked = sorted((i for i in could if could[i] <= most), key=lambda i: could[i])
+            if not asked:
+                return best
+            # as many at a time whatever the number of threads, so that the answer does not depend on it
+            in_threads(self.threads, self.told_by_both, [found[i] for i in asked[:_AT_A_TIME]])
+
+    def _could_gain(self, hypothesis: Hypothesis) -> float:
+        """Return how much less is left of the held-out trial if its share is that of the fitted trial.
+
+        Shares of what the plain plant leaves beyond noise; where that is not known, only noise is left.
+        """
+        train, held_out = self.above_by_trial(hypothesis)
+        plain = (0.0, 0.0) if self.plain is None else self.above_by_trial(self.plain)
+        ratio = max(plain[1], 0.0) / plain[0] if plain[0] > 0 else 0.0
+        return max(held_out - max(train, 0.0) * ratio, 0.0)
+
+    def least(self, found: Sequence[Hypothesis]) -> Hypothesis:
+        """Return the hypothesis that leaves least of both trials: see `tell_rivals`."""
+        return self.tell_rivals(found, lambda best: 0.0, priced=False)
+
+    def best_first(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return hypotheses by what they leave of both trials, `least` first."""
+        if found:
+            self.least(found)
+        return sorted(found, key=lambda h: sum(h.left))
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
         """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
-        left = self._left_by(hypothesis)
+        left = self.told_by_both(hypothesis)
         each = zip(left, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
         train, held_out = (_excess(left, expected, self.on_floor, draws) for left, expected, draws in each)
         return train, held_out
 
     def loudest_sensor(self, hypothesis: Hypothesis) -> str:
         """Return the name of the sensor whose `excess` is the largest, of those that were recorded."""
-        left, expected = pooled(self._left_by(hypothesis)), pooled(self.samples_by_sensor)
+        left, expected = pooled(self.told_by_both(hypothesis)), pooled(self.samples_by_sensor)
         train, held_out = self._noise_of(hypothesis)
         each = zip(self.pair.train.sensors, left, expected, (train + held_out).T, strict=True)
         excess = {name: _excess([a], [n], [False], draws[:, None]) for name, a, n, draws in each if n > 0}

@@ -1,6 +1,6 @@
 """Which effect explains the gap: single effects, pairs and larger sets, from screening to joint refits.
 
-What takes part is refitted on one trial and judged on the other (`search`); what an answer makes of it is for `decide`.
+What takes part is refitted on one trial and judged by both (`search`); what an answer makes of it is for `decide`.
 """
 
 from __future__ import annotations

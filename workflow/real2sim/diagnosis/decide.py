@@ -1,10 +1,11 @@
 """From fits to an answer: probabilities over effects, `none` and `unknown`, the ambiguity group and the next trial.
 
 A refitted set of effects has an evidence: the marginal likelihood of the training trial (Laplace's approximation) times
-the likelihood of the held-out one, both as a deviance in units of chi-squared. The likelihood has a heavier tail than
-noise alone: models are inexact in a few ways that no noise describes, and where even the best set leaves something, a
-difference of that size means nothing. To that come prior probabilities: of any cause against `none`, of every further
-one, and of a cause that the catalogue does not hold, the larger the more is left of the gap. The constants are in the
+the likelihood of the held-out one, or the marginal likelihood of both (`both_trials`), as a deviance in units of
+chi-squared. The likelihood has a heavier tail than noise alone: models are inexact in a few ways that no noise
+describes, and where even the best set leaves something, a difference of that size means nothing. To that come prior
+probabilities: of any cause against `none`, of every further one, and of a cause that the catalogue does not hold, the
+larger the more is left of the gap by what is fitted to the training trial alone. The constants are in the
 configuration, ``diagnosis.calibration``; ``benchmarks/calibrate_diagnosis.py`` fits them to development cases, by the
 logarithm of the probability that the truth gets.
 """

@@ -1,7 +1,8 @@
 """Screening on the tangent and joint refits of one pair of trials: what the attribution searches with.
 
 Refitting the system's parameters absorbs most of the gap of many effects, so an effect is judged by a joint refit
-(those and its own parameters) on the training trial and by what it leaves of the held-out one.
+(those and its own parameters) on the training trial and by what it leaves of the held-out one: as that fit predicts it,
+or with numbers that are fitted to both, where that matters for which of two is the better (`both_trials`).
 """
 
 from __future__ import annotations

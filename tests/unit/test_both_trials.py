@@ -10,7 +10,7 @@ from real2sim.diagnosis import refit
 from real2sim.diagnosis.answer import _of_both_trials
 from real2sim.diagnosis.attribute import Attribution
 from real2sim.diagnosis.both_trials import fit_both
-from real2sim.diagnosis.refit import Hypothesis, JointResiduals, OfBoth
+from real2sim.diagnosis.refit import FitToBoth, Hypothesis, JointResiduals
 from real2sim.diagnosis.trials import Found
 
 from tests.unit.test_coupling import CONFIG
@@ -128,7 +128,7 @@ def test_a_set_competes_with_what_numbers_fitted_to_both_trials_leave():
     found, options = Found(pair, attribution), CONFIG["diagnosis"]
     assert found.candidate(told, options).chi2 == (110, 900)
     assert _of_both_trials(told, attribution) is None
-    told.both = OfBoth(np.ones(12), ((120.0,), (105.0,)), 9.0)
+    told.both = FitToBoth(np.ones(12), ((120.0,), (105.0,)), 9.0)
     candidate = found.candidate(told, options)
     assert candidate.chi2 == (120, 105)
     assert candidate.occam == 6

@@ -189,7 +189,7 @@ def test_the_set_that_a_verdict_names_has_converged(monkeypatch):
         return hypothesis
 
     monkeypatch.setattr("real2sim.diagnosis.trials.finished", finish)
-    monkeypatch.setattr(Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(Found, "fit_rivals_to_both", lambda *given: None)
     decision = conclude(Found(pair, attribution), CONFIG["diagnosis"])
     assert decision.verdict == "filter_lag"
     assert int(np.argmax(decision.sets)) == 0
@@ -223,7 +223,7 @@ def test_credit_does_not_depend_on_which_smaller_sets_were_tried(monkeypatch, ax
         return fit_of(*dict.fromkeys(placed.effect.name for placed in effects))
 
     monkeypatch.setattr(Search, "fit", refit)
-    monkeypatch.setattr(Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(Found, "fit_rivals_to_both", lambda *given: None)
     decision = conclude(Found(pair, attribution), CONFIG["diagnosis"])
     assert [h.names for h in attribution.hypotheses[2:]] == [("slack",)]
     assert decision.probabilities["slack"] > 0.8

@@ -200,7 +200,7 @@ def test_a_robot_at_rest_is_believed_where_it_leaves_less(monkeypatch, said, loo
 
     trials_module = trials
     monkeypatch.setattr(trials, "search_pair", search_pair)
-    monkeypatch.setattr(trials.Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(trials.Found, "fit_rivals_to_both", lambda *given: None)
     monkeypatch.setattr(trials, "looks_settled", lambda *about: looks)
     options = CONFIG["diagnosis"] | {"robot_holds": said}
     two = trials.Trials("dynamic_1", "dynamic_2", None, None, options, lambda text: None)
@@ -221,7 +221,7 @@ def test_noise_that_a_robot_at_rest_adds_counts_against_it(monkeypatch, larger_b
         return trials.Found(pair, Attribution(plain, [], [], (2880, 2880), None))
 
     monkeypatch.setattr(trials, "search_pair", search_pair)
-    monkeypatch.setattr(trials.Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(trials.Found, "fit_rivals_to_both", lambda *given: None)
     monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
     two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
     found, _ = trials.search_initial_states(two)
@@ -245,7 +245,7 @@ def test_the_initial_state_is_chosen_by_sets_that_have_converged(monkeypatch):
         return replace(hypothesis, chi2=chi2, converged=True)
 
     monkeypatch.setattr(trials, "search_pair", search_pair)
-    monkeypatch.setattr(trials.Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(trials.Found, "fit_rivals_to_both", lambda *given: None)
     monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
     monkeypatch.setattr(trials, "finished", finished)
     two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], lambda text: None)
@@ -266,7 +266,7 @@ def test_a_second_search_that_cannot_be_simulated_leaves_the_first_one_standing(
         return released
 
     monkeypatch.setattr(trials, "search_pair", search_pair)
-    monkeypatch.setattr(trials.Found, "tell_rivals", lambda *given: None)
+    monkeypatch.setattr(trials.Found, "fit_rivals_to_both", lambda *given: None)
     monkeypatch.setattr(trials, "looks_settled", lambda *about: True)
     two = trials.Trials("dynamic_1", "dynamic_2", None, None, CONFIG["diagnosis"], told.append)
     if code != "not_simulated":

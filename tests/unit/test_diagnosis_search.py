@@ -32,7 +32,7 @@ from real2sim.diagnosis.attribute import (
     check_simulated,
 )
 from real2sim.diagnosis.decide import NONE, UNKNOWN, Candidate, decide, next_trial
-from real2sim.diagnosis.refit import NO_RANGE, Hypothesis, OfBoth
+from real2sim.diagnosis.refit import NO_RANGE, FitToBoth, Hypothesis
 from real2sim.diagnosis.search import (
     FAILED,
     Beside,
@@ -64,7 +64,7 @@ def _tangent(z):
 
 def _stands(pair, hypothesis, **how):
     """Numbers that are fitted to both trials leave what those of the first leave."""
-    return OfBoth(hypothesis.z, hypothesis.by_sensor, hypothesis.occam), 1
+    return FitToBoth(hypothesis.z, hypothesis.by_sensor, hypothesis.occam), 1
 
 
 class _Stuck(Search):
@@ -286,7 +286,7 @@ def test_what_a_hypothesis_leaves_is_measured_by_the_noise_that_it_lets_through(
     assert search.is_noise(found)
     # what numbers leave that are fitted to both trials counts, not what those of the first leave
     further = replace(found, chi2=(6000.0, 8000.0), z=np.full(13, 0.5))
-    told = OfBoth(further.z, ((6000.0,), (6000.0,)), 0.0)
+    told = FitToBoth(further.z, ((6000.0,), (6000.0,)), 0.0)
     monkeypatch.setattr("real2sim.diagnosis.search.fit_both", lambda *given, **how: (told, 1))
     assert abs(search.excess(further)) < 0.1
     monkeypatch.setattr("real2sim.diagnosis.search.fit_both", _stands)
@@ -979,7 +979,7 @@ def test_a_sensor_that_was_not_recorded_is_not_the_loudest():
     search.pair = SimpleNamespace(train=trial, held_out=trial, samples_by_sensor=((3600, 0), (3600, 0)))
     draws = np.column_stack([np.random.default_rng(0).normal(3600, 85, 15), np.zeros(15)])
     search._noise_of = lambda hypothesis: (draws, draws)
-    search.told_by_both = lambda hypothesis: hypothesis.by_sensor
+    search.left_of_both = lambda hypothesis: hypothesis.by_sensor
     quiet = Hypothesis((), np.zeros(12), (3500.0, 3500.0), sensors=((3500.0, 0.0), (3500.0, 0.0)))
     assert search.loudest_sensor(quiet) == "markers"
 
@@ -1047,10 +1047,10 @@ class _Told(Search):
         self._settings, self._told, self.asked = CONFIG["diagnosis"]["search"], told, []
         self.plain = None
 
-    def told_by_both(self, hypothesis):
+    def left_of_both(self, hypothesis):
         self.asked.append(hypothesis.z[0])
         left = self._told[hypothesis.z[0]]
-        hypothesis.both = OfBoth(hypothesis.z, ((left[0],), (left[1],)), 0.0)
+        hypothesis.both = FitToBoth(hypothesis.z, ((left[0],), (left[1],)), 0.0)
         return hypothesis.both.by_sensor
 
 
@@ -1074,7 +1074,7 @@ def test_what_could_leave_least_of_both_trials_is_fitted_to_both():
 def test_a_rival_within_reach_of_the_best_is_fitted_to_both_too():
     best, near, far = _leaving(1, 100, 100), _leaving(2, 150, 900), _leaving(3, 400, 900)
     search = _Told({2: (160.0, 110.0)})
-    assert search.tell_rivals([best, near, far], lambda h: 100.0) is best
+    assert search.fit_rivals_to_both([best, near, far], lambda h: 100.0) is best
     assert search.asked == [2]
     assert near.deviance == 270
 

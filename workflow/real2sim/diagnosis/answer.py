@@ -291,7 +291,7 @@ def _checked(
         return decision, None, None
     if measured is not None:
         attribution, laws = found.attribution, [law.hypothesis for law in measured.laws]
-        found.tell_rivals([attribution.plain, *attribution.hypotheses, *laws], options)
+        found.fit_rivals_to_both([attribution.plain, *attribution.hypotheses, *laws], options)
     if misfit is not None:
         decision, misfit = told_apart(misfit, found, decision, options)
     if measured is None:
@@ -381,8 +381,7 @@ def _configured(machines: Sequence[Machine], pair: Pair) -> Machine | None:
     own, plain = machine.pair, machine.plain
     if machine.trials != machines[0].trials:
         own = replace(own, train=own.held_out, held_out=own.train)
-        both = plain.both and replace(plain.both, by_sensor=plain.both.by_sensor[::-1])
-        plain = replace(plain, chi2=plain.chi2[::-1], j=plain.j[::-1], sensors=plain.sensors[::-1], both=both)
+        plain = replace(plain, chi2=plain.chi2[::-1], j=plain.j[::-1], sensors=plain.sensors[::-1])
     own = replace(own, exchanged=pair.exchanged)
     return replace(machine, trials=machines[0].trials, pair=own, plain=plain)
 
@@ -500,7 +499,7 @@ class _Account:
                 "chi2_best": [list(left) for left in self._best.by_sensor],
                 "chi2_expected": [list(count) for count in self._pair.samples_by_sensor],
             },
-            "both_trials": _of_both_trials(self._before, self._attribution),
+            "both_trials": _of_both_trials(self._attribution.plain, self._attribution),
             "further": self._further(),
         }
 

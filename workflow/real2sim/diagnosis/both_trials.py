@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from real2sim.diagnosis.refit import Hypothesis, OfBoth, following
+from real2sim.diagnosis.refit import FitToBoth, Hypothesis, following
 from real2sim.inference import least_squares
 
 if TYPE_CHECKING:
@@ -37,14 +37,14 @@ class BothResiduals(least_squares.Residuals):
 
     def many(self, z: np.ndarray) -> np.ndarray:
         """Residuals (m, n_r) of points (m, n + p)."""
-        self.evaluations += 2 * len(z)
         first, second = (trial.many(z) for trial in self.each)
+        self._count()
         return np.hstack([first, second[:, : self._rows]])
 
     def with_jacobian(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As of `least_squares.Residuals`."""
         (first, slopes), (second, more) = (trial.with_jacobian(z, free) for trial in self.each)
-        self.evaluations = sum(trial.evaluations for trial in self.each)
+        self._count()
         rows = self._rows
         return np.concatenate([first, second[:rows]]), np.vstack([slopes, more[:rows]])
 
@@ -52,14 +52,19 @@ class BothResiduals(least_squares.Residuals):
         """As of `least_squares.Residuals`."""
         return self.with_jacobian(z, free)[1]
 
+    def _count(self) -> None:
+        self.evaluations = sum(trial.evaluations for trial in self.each)
+
     def judged(self, z: np.ndarray) -> list[np.ndarray]:
         """Chi-squared (s,) by sensor of each trial at a point (n + p,)."""
-        return [np.asarray(trial.judged(z)[0]) for trial in self.each]
+        left = [np.asarray(trial.judged(z)[0]) for trial in self.each]
+        self._count()
+        return left
 
 
 def fit_both(
     pair: Pair, hypothesis: Hypothesis, *, iterations: int, ftol: float, keep: float = 0.0
-) -> tuple[OfBoth, int]:
+) -> tuple[FitToBoth, int]:
     """Refit a hypothesis to both trials, from its fit to one; what that leaves, and how many replays it took.
 
     What is left differs from that of the fit by what the refit changes: the fit may be of a finer time step. Where the
@@ -67,7 +72,6 @@ def fit_both(
     ``ftol`` and ``keep``: see `least_squares.minimise`.
     """
     problem, z = BothResiduals(pair, hypothesis), hypothesis.z
-    stands = OfBoth(z, hypothesis.by_sensor, hypothesis.occam)
     before = problem.judged(z)
     moved, _, _, _ = least_squares.minimise(
         problem, z, problem.free, iterations=iterations, ftol=ftol, keep=keep
@@ -77,9 +81,9 @@ def fit_both(
     cost = sum(float(left.sum()) for left in after) + occam
     fixed = sum(float(left.sum()) for left in before) + hypothesis.occam
     if not (np.isfinite(cost) and cost < fixed):
-        return stands, problem.evaluations
+        return FitToBoth(z, hypothesis.by_sensor, hypothesis.occam), problem.evaluations
     left = [
         tuple(np.maximum(np.asarray(own) + b - a, 0.0).tolist())
         for own, a, b in zip(hypothesis.by_sensor, before, after, strict=True)
     ]
-    return OfBoth(moved, tuple(left), occam), problem.evaluations
+    return FitToBoth(moved, tuple(left), occam), problem.evaluations

@@ -74,7 +74,7 @@ def layered(
             )
             if law is not None
         ]
-        found.tell_rivals([own, *(law.hypothesis for law in tried)], options)
+        found.fit_rivals_to_both([own, *(law.hypothesis for law in tried)], options)
         told = [found.candidate(law.hypothesis, options, sets[index].names) for law in tried]
         if tried:
             best = min(range(len(tried)), key=lambda i: told[i].deviance)

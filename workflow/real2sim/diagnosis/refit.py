@@ -28,7 +28,7 @@ ENDLESS = 1e9
 
 
 @dataclass(frozen=True)
-class OfBoth:
+class FitToBoth:
     """Numbers ``z`` (n + p,) that are fitted to both trials, and chi-squared that they leave by sensor, trial by trial.
 
     ``occam``: what Laplace's approximation of the marginal likelihood of both trials adds to chi-squared.
@@ -59,23 +59,23 @@ class Hypothesis:
     occam: float = 0.0
     sensors: tuple[tuple[float, ...], ...] = ()
     motions: tuple[np.ndarray, ...] = ()
-    both: OfBoth | None = None
+    both: FitToBoth | None = None
 
     @property
-    def left_by_sensor(self) -> tuple[tuple[float, ...], ...]:
-        """Chi-squared by sensor, trial by trial: with numbers that are fitted to both, where that was asked."""
-        return self.by_sensor if self.both is None else self.both.by_sensor
+    def competing(self) -> FitToBoth:
+        """The fit by which it competes with others: that to both trials, where that was asked."""
+        return self.both or FitToBoth(self.z, self.by_sensor, self.occam)
 
     @property
     def left(self) -> tuple[float, float]:
-        """The same of all sensors."""
-        train, held_out = (sum(left) for left in self.left_by_sensor)
+        """Chi-squared of each trial that the competing fit leaves."""
+        train, held_out = (sum(left) for left in self.competing.by_sensor)
         return train, held_out
 
     @property
     def deviance(self) -> float:
         """Minus twice the logarithm of the evidence, but for what all hypotheses have in common."""
-        return sum(self.left) + (self.occam if self.both is None else self.both.occam)
+        return sum(self.left) + self.competing.occam
 
     @property
     def by_sensor(self) -> tuple[tuple[float, ...], ...]:

@@ -254,12 +254,12 @@ class Search:
         (Stouffer's sum): one that passes on much noise hides nothing of the other.
         """
         expected = pooled(self.samples_by_sensor)
-        out = _excess(pooled(hypothesis.left_by_sensor), expected, self.on_floor, None)
+        out = _excess(pooled(hypothesis.competing.by_sensor), expected, self.on_floor, None)
         if out < self._settings["pair_excess_sigma"] or not hypothesis.effects:
             return out
         return sum(self.excess_of_trials(hypothesis)) / float(np.sqrt(2))
 
-    def told_by_both(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
+    def left_of_both(self, hypothesis: Hypothesis) -> tuple[tuple[float, ...], ...]:
         """Chi-squared by sensor, trial by trial, with numbers that are fitted to both: asked once, and kept."""
         if hypothesis.both is None:
             own = self._settings
@@ -285,12 +285,12 @@ class Search:
         sd = np.sqrt(2 * max(self.samples[1], 1.0))
         return bool(self.above_by_trial(hypothesis)[1] > self._settings["pair_excess_sigma"] * sd)
 
-    def tell_rivals(
+    def fit_rivals_to_both(
         self, found: Sequence[Hypothesis], reach: Callable[[Hypothesis], float], *, priced: bool = True
     ) -> Hypothesis:
-        """Return the hypothesis of least deviance, with numbers that are fitted to both trials where that matters.
+        """Refit to both trials what could then be the best hypothesis, and return the one of least deviance.
 
-        That is asked of those that would come within ``reach`` of the best one if they left as little of the held-out
+        Refitted are those that would come within ``reach`` of the best one if they left as little of the held-out
         trial as of the fitted one (`_could_gain`). ``priced``: by deviance, else by chi-squared alone.
         """
 
@@ -306,7 +306,7 @@ class Search:
             if not asked:
                 return best
             # as many at a time whatever the number of threads, so that the answer does not depend on it
-            in_threads(self.threads, self.told_by_both, [found[i] for i in asked[:_AT_A_TIME]])
+            in_threads(self.threads, self.left_of_both, [found[i] for i in asked[:_AT_A_TIME]])
 
     def _could_gain(self, hypothesis: Hypothesis) -> float:
         """Return how much less is left of the held-out trial if its share is that of the fitted trial.
@@ -319,8 +319,8 @@ class Search:
         return max(held_out - max(train, 0.0) * ratio, 0.0)
 
     def least(self, found: Sequence[Hypothesis]) -> Hypothesis:
-        """Return the hypothesis that leaves least of both trials: see `tell_rivals`."""
-        return self.tell_rivals(found, lambda best: 0.0, priced=False)
+        """Return the hypothesis that leaves least of both trials: see `fit_rivals_to_both`."""
+        return self.fit_rivals_to_both(found, lambda best: 0.0, priced=False)
 
     def best_first(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return hypotheses by what they leave of both trials, `least` first."""
@@ -330,14 +330,14 @@ class Search:
 
     def excess_of_trials(self, hypothesis: Hypothesis) -> tuple[float, float]:
         """The same of the fitted and of the held-out trial, by noise that is simulated through the hypothesis."""
-        left = self.told_by_both(hypothesis)
+        left = self.left_of_both(hypothesis)
         each = zip(left, self.samples_by_sensor, self._noise_of(hypothesis), strict=True)
         train, held_out = (_excess(left, expected, self.on_floor, draws) for left, expected, draws in each)
         return train, held_out
 
     def loudest_sensor(self, hypothesis: Hypothesis) -> str:
         """Return the name of the sensor whose `excess` is the largest, of those that were recorded."""
-        left, expected = pooled(self.told_by_both(hypothesis)), pooled(self.samples_by_sensor)
+        left, expected = pooled(self.left_of_both(hypothesis)), pooled(self.samples_by_sensor)
         train, held_out = self._noise_of(hypothesis)
         each = zip(self.pair.train.sensors, left, expected, (train + held_out).T, strict=True)
         excess = {name: _excess([a], [n], [False], draws[:, None]) for name, a, n, draws in each if n > 0}

@@ -151,12 +151,12 @@ class Found:
 
     def predict_further(self, hypothesis: Hypothesis, options: DiagnosisSettings) -> list[Predicted]:
         """Return what a hypothesis leaves of the further trials; ``options``: slice ``diagnosis``."""
-        if self.further and hypothesis.both is not None:
-            hypothesis = replace(hypothesis, z=hypothesis.both.z)
-        key = hypothesis.key, hypothesis.z.tobytes()
+        z = hypothesis.competing.z
+        key = hypothesis.key, z.tobytes()
         if self.further and key not in self._predictions:
             longest = options["search"]["longest_step"]
-            self._predictions[key] = predict_further(self.pair, hypothesis, self.further, longest)
+            told = replace(hypothesis, z=z)
+            self._predictions[key] = predict_further(self.pair, told, self.further, longest)
         return self._predictions.get(key, [])
 
     def candidate(
@@ -164,8 +164,7 @@ class Found:
     ) -> Candidate:
         """Return a hypothesis as the decision sees it; ``law`` are the keys of families without a name."""
         more = self.predict_further(hypothesis, options)
-        occam = hypothesis.deviance - sum(hypothesis.left) - self.attribution.plain.occam
-        occam += sum(f.occam for f in more)
+        occam = hypothesis.competing.occam - self.attribution.plain.occam + sum(f.occam for f in more)
         chi2 = (*hypothesis.left, *(f.chi2 for f in more))
         own = (*hypothesis.by_sensor, *(f.by_sensor for f in more))
         on_floor = self.pair.on_floor(options["search"]["pair_excess_sigma"])
@@ -176,7 +175,7 @@ class Found:
         places = tuple(tuple(p.key for p in effects if p.effect.name == name) for name in names)
         return Candidate(names, chi2, occam, ambiguous=is_ambiguous(effects), places=places, sensors=sensors)
 
-    def tell_rivals(self, hypotheses: Sequence[Hypothesis], options: DiagnosisSettings) -> None:
+    def fit_rivals_to_both(self, hypotheses: Sequence[Hypothesis], options: DiagnosisSettings) -> None:
         """Refit those hypotheses to both trials that could then be as likely as an answer's group asks.
 
         ``options`` is the slice ``diagnosis`` of the configuration.
@@ -184,7 +183,7 @@ class Found:
         c, search = options["calibration"], Search(self.pair, options["search"])
         search.plain = self.attribution.plain
         log_odds = -float(np.log(c["ambiguity_probability"]))
-        search.tell_rivals(hypotheses, lambda best: difference_for(log_odds, c, search.beyond(best)))
+        search.fit_rivals_to_both(hypotheses, lambda best: difference_for(log_odds, c, search.beyond(best)))
 
     @property
     def initial_state(self) -> str:
@@ -401,7 +400,7 @@ def conclude(found: Found, options: DiagnosisSettings) -> Decision:
     converged = {i for i, h in enumerate(attribution.hypotheses) if h.converged}
     refits = 0
     while True:
-        found.tell_rivals([attribution.plain, *attribution.hypotheses], options)
+        found.fit_rivals_to_both([attribution.plain, *attribution.hypotheses], options)
         plain, sets = candidates_of(found, options)
         decision = decide(plain, sets, found.samples, options["calibration"])
         open_set = _to_converge(decision, sets, converged, options)
